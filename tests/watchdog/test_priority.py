@@ -11,6 +11,7 @@ from link_peer import free_port
 from vwnav.machine.priority import NICER
 from vwnav.watchdog.launch import start_watchdog
 
+SESSION = "/proc/self/autogroup"
 PROGRAM = """
 import os, resource, sys, threading
 from vwnav.machine.priority import go_first
@@ -46,6 +47,20 @@ def test_threads_started_later_go_first_too():
     raised, nice, turn_s = answer()
     assert (raised, int(nice)) == ("True", os.nice(0) + NICER)
     assert float(turn_s) < 0.001
+
+
+@pytest.mark.usefixtures("may_go_first")
+def test_its_session_goes_before_others_while_it_lives():
+    """Where the kernel shares time between sessions first, nice says nothing to another one's."""
+    if not Path(SESSION).exists():
+        pytest.skip("the kernel knows no autogroups")
+    inside = (
+        f"from vwnav.machine.priority import go_first; go_first(); print(open({SESSION!r}).read())"
+    )
+    shell = ["sh", "-c", f'"{sys.executable}" -c "$0"; cat {SESSION}', inside]
+    run = subprocess.run(shell, capture_output=True, text=True, start_new_session=True)
+    nice = [line.split()[-1] for line in run.stdout.splitlines() if line]
+    assert nice == [str(NICER), "0"], run.stderr
 
 
 def test_without_the_right_it_flies_as_it_is():
