@@ -16,6 +16,7 @@ from typing import Self
 
 from vwnav.clock import Clock
 from vwnav.errors import LinkError, VwnavError
+from vwnav.machine.priority import go_first
 from vwnav.pace import clock_of
 from vwnav.sim.config import PilotPlan, VehicleConfig
 from vwnav.sim.core import Peer, Role, VehicleCore
@@ -133,6 +134,7 @@ def run_vehicle(config: VehicleConfig, ready: Callable[[], None]) -> None:
 def _child(config: VehicleConfig, pipe: Connection) -> None:
     # Ctrl-C, a closed terminal and `timeout` are for the navigator: it has to land this vehicle.
     os.setsid()
+    go_first()  # an autopilot has a processor of its own
     try:
         run_vehicle(config, lambda: pipe.send(""))
     except VwnavError as error:
