@@ -14,6 +14,7 @@ The graph is compared with PyTorch first; if they differ, nothing is written.
 import argparse
 import hashlib
 import io
+import os
 import sys
 from pathlib import Path
 
@@ -28,6 +29,7 @@ import vwnav
 from export import parity
 from models.extractor import Extractor
 from models.network import SIZE_MULTIPLE_PX, FeatureNetwork, NetworkConfig
+from training.data import one_line
 from training.whole import write_whole
 
 OPSET = 18
@@ -168,15 +170,26 @@ def slim_checkpoint(checkpoint: Path, output: Path) -> None:
     write_whole(output, buffer.getvalue())
 
 
-def check_folders(*outputs: Path | None) -> None:
+def check_outputs(source: Path, *outputs: Path | None) -> None:
     """Say at once, not after minutes of work, that a file cannot be written.
 
+    Args:
+        source: what is read, and not to be written over.
+        outputs: models as `.onnx`, weights as `.ckpt` or `.pt`.
+
     Raises:
-        ExportError: its folder is not there, or it is one itself.
+        ExportError: it is of another kind, a folder or in none, in one that may not be written, or
+            it is the source.
     """
-    for output in outputs:
-        if output is not None and (output.is_dir() or not output.parent.is_dir()):
+    for output in filter(None, outputs):
+        if output.is_dir() or not output.parent.is_dir():
             raise ExportError(f"{output} is a folder, or its own is not there")
+        if output.suffix not in (".onnx", ".ckpt", ".pt"):
+            raise ExportError(f"{output}: a model is written as .onnx, weights as .ckpt")
+        if not os.access(output.parent, os.W_OK):
+            raise ExportError(f"{output}: its folder may not be written")
+        if output.exists() and source.exists() and output.samefile(source):
+            raise ExportError(f"{output} is what is read: it would be lost; give another file")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -194,7 +207,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     given = parser.parse_args(arguments)
     try:
-        check_folders(given.output, given.release)
+        check_outputs(given.checkpoint, given.output, given.release)
         identity = export(given.checkpoint, given.output)
         if given.release:
             slim_checkpoint(given.checkpoint, given.release)
@@ -206,4 +219,5 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with one_line():
+        sys.exit(main())

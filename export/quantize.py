@@ -30,8 +30,9 @@ from onnxruntime.quantization import (
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # so that `python export/...` works
 
-from export.export_onnx import ExportError, check_folders
+from export.export_onnx import ExportError, check_outputs
 from export.images import Image, read_grey, training_images
+from training.data import one_line
 from training.whole import write_whole
 
 IMAGES = 48
@@ -143,7 +144,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--pictures", type=int, default=IMAGES, help="to calibrate with")
     given = parser.parse_args(arguments)
     try:
-        check_folders(given.output)
+        check_outputs(given.model, given.output)
         paths = training_images(given.data, given.pictures)
         images = [read_grey(path, IMAGE_PX) for path in paths]
         quantised = quantise(load_model(given.model), images)
@@ -157,4 +158,5 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with one_line():
+        sys.exit(main())

@@ -26,6 +26,7 @@ from export import export_onnx, parity
 from export.export_onnx import ExportError
 from export.images import Image, read_grey, training_images
 from models.extractor import Extractor
+from training.data import one_line
 from training.validate import mutual_matches
 from training.warps import centred, similarity, warp_points
 from vwnav.types import Features
@@ -162,4 +163,5 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with one_line():
+        sys.exit(main())

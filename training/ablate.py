@@ -11,6 +11,7 @@ the difference is chance.
 import argparse
 import csv
 import functools
+import io
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
@@ -24,13 +25,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a s
 from models.network import DenseFeatures, FeatureNetwork, NetworkConfig, conv, normalise_contrast
 from training import train, validate
 from training.config import PRESETS, changed
-from training.data import OPEN_SOURCES, ROOT, Scene, data_folder, load_scenes
+from training.data import OPEN_SOURCES, ROOT, Scene, data_folder, load_scenes, one_line
 from training.journal import SCORES
 from training.photometric import PhotometricConfig
 from training.sampling import Sample, SampleConfig
 from training.warps import WarpConfig
+from training.whole import write_whole
 
 VIEWS = 60
+HEADER = ["choice", "parameters", *SCORES]
 AS_THEY_ARE = PhotometricConfig(**dict.fromkeys(PhotometricConfig.__dataclass_fields__, 0.0))
 
 
@@ -154,28 +157,47 @@ def judged_views(kept: list[Scene]) -> list[Sample]:
     return validate.calm_views(kept, samples, VIEWS)
 
 
-def main() -> None:
-    """Run the rows that are missing and print the table."""
+def rows_done(table: Path) -> dict[str, list[str]]:
+    """The lines of a table that is there, by their row's name.
+
+    Raises:
+        SystemExit: it is no such table; one line says so.
+    """
+    if not table.exists():
+        return {}
+    try:
+        header, *lines = [line for line in csv.reader(table.read_text().splitlines()) if line]
+    except (ValueError, csv.Error):
+        header, lines = [], []
+    if header != HEADER:
+        raise SystemExit(f"{table} is no table of ablations: move it away, or give another --out")
+    return {line[0]: line for line in lines}
+
+
+@one_line()
+def main(arguments: list[str] | None = None) -> None:
+    """Run the rows that are missing and print the table.
+
+    Raises:
+        SystemExit: it cannot be done, or was interrupted; one line says why.
+    """
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--steps", type=int, default=1500)
     parser.add_argument("--only", nargs="*", choices=list(ROWS), default=list(ROWS), metavar="NAME")
     parser.add_argument("--out", type=Path, default=ROOT / "runs/ablations")
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     table = given.out / "table.csv"
-    done = {}
-    if table.exists():
-        with table.open(newline="") as file:
-            done = {line[0]: line for line in list(csv.reader(file))[1:]}
+    done = rows_done(table)
     given.out.mkdir(parents=True, exist_ok=True)
     for name in given.only:
         if name in done:
             continue
         done[name] = run(name, given.steps, given.out)
-        with table.open("w", newline="") as file:
-            header = ["choice", "parameters", *SCORES]
-            csv.writer(file).writerows([header, *done.values()])
+        text = io.StringIO()
+        csv.writer(text).writerows([HEADER, *done.values()])
+        write_whole(table, text.getvalue().encode())
     print(table.read_text())
 
 

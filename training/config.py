@@ -1,14 +1,15 @@
 """Every choice of a training run, the presets, and the command line."""
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from models.network import NETWORK_SIZES, NetworkConfig
+from models.network import NETWORK_SIZES, SIZE_MULTIPLE_PX, NetworkConfig
 from training.data import Terms
 from training.photometric import PhotometricConfig
 from training.sampling import SampleConfig
@@ -70,6 +71,21 @@ class TrainConfig:
     validation_pairs: int = 40
 
 
+# Of the numbers that end a run, or break it off, where they are smaller.
+LEAST = {
+    "seed": 0,
+    "minutes": 0,
+    "max_steps": 0,
+    "batch_pairs": 1,
+    "samples.size_px": SIZE_MULTIPLE_PX,
+    "matches": 1,
+    "windows": 1,
+    "threads": 1,
+    "loader_processes": 0,
+    "log_every_steps": 1,
+    "validation_pairs": 1,
+}
+
 PRESETS = {
     "default": TrainConfig(),
     "nano": TrainConfig(out="runs/nano", network=NETWORK_SIZES["nano"], minutes=60.0),
@@ -128,6 +144,33 @@ def load_checkpoint(path: str | Path, device: torch.device | str = "cpu") -> dic
     return state
 
 
+def check(config: TrainConfig) -> None:
+    """Refuse what no run can be made with, before minutes of reading images.
+
+    Raises:
+        SystemExit: a number is none or out of range, or the run would never end; one line says so.
+    """
+    for name, value in numbers_of(asdict(config)):
+        least = LEAST.get(name, -math.inf)
+        if not math.isfinite(value) or value < least:
+            raise SystemExit(f"{name} = {value:g}: expected a number, {least:g} at least")
+    if not config.minutes and not config.max_steps:
+        raise SystemExit("the run would never end: give --minutes or --max-steps")
+    if config.samples.size_px % SIZE_MULTIPLE_PX:
+        raise SystemExit(
+            f"samples.size_px = {config.samples.size_px}: expected a multiple of {SIZE_MULTIPLE_PX}"
+        )
+
+
+def numbers_of(choices: dict[str, Any], within: str = "") -> Iterator[tuple[str, float]]:
+    """Every number of a configuration as plain values, by its name as `--set` takes it."""
+    for name, value in choices.items():
+        if isinstance(value, dict):
+            yield from numbers_of(value, f"{within}{name}.")
+        elif isinstance(value, int | float):
+            yield f"{within}{name}", value
+
+
 def parse(description: str, arguments: Sequence[str] | None = None) -> tuple[TrainConfig, str]:
     """Command line -> configuration, and the checkpoint to resume from ("" for a new run)."""
     parser = argparse.ArgumentParser(
@@ -154,7 +197,11 @@ def parse(description: str, arguments: Sequence[str] | None = None) -> tuple[Tra
     preset, resume, changes = given.pop("preset"), given.pop("resume"), given.pop("set")
     config = PRESETS[preset]
     if resume:
-        config = config_from_saved(load_checkpoint(resume)["config"])
+        saved = load_checkpoint(resume)["config"]
+        try:
+            config = config_from_saved(saved)
+        except (KeyError, TypeError) as error:
+            raise SystemExit(f"{resume}: not of this program's choices ({error})") from error
     try:
         for change in changes:
             name, _, value = change.partition("=")

@@ -5,9 +5,16 @@ python training/curves.py runs/nano runs/default [-o runs/curves.png]
 
 import argparse
 import csv
+import io
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a script
+
+from training.data import one_line
+from training.whole import write_whole
 
 SHOWN = {
     "matching": "Loss of matching",
@@ -15,6 +22,7 @@ SHOWN = {
     "matched": "Keypoints rightly matched, share",
     "inliers": "Kept-aside pairs: inliers of 500",
 }
+SUFFIXES = (".png", ".svg", ".pdf")
 SMOOTH = 10  # lines of the log
 
 
@@ -27,10 +35,17 @@ class Curve:
 
 
 def read_curve(log: Path, name: str) -> Curve:
-    """One column of a log, where it is filled in."""
-    with log.open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row.get(name)]
-    return Curve([float(r["elapsed_s"]) / 60.0 for r in rows], [float(r[name]) for r in rows])
+    """One column of a log, where it is filled in.
+
+    Raises:
+        SystemExit: it is no log of a run; one line says so.
+    """
+    try:
+        with log.open(newline="") as file:
+            rows = [row for row in csv.DictReader(file) if row.get(name)]
+        return Curve([float(r["elapsed_s"]) / 60.0 for r in rows], [float(r[name]) for r in rows])
+    except (ValueError, KeyError, csv.Error) as error:
+        raise SystemExit(f"{log} is no log of a run, or damaged ({error})") from error
 
 
 def smoothed(curve: Curve) -> Curve:
@@ -48,13 +63,15 @@ def draw(runs: list[Path], output: Path) -> None:
     """Draw every shown figure of every run.
 
     Raises:
-        SystemExit: a run has no log; one line says so.
+        SystemExit: a run has no log, or nothing can be drawn to `output`; one line says so.
     """
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
+    if output.suffix.lower() not in SUFFIXES:
+        raise SystemExit(f"{output}: the curves are drawn as {' or '.join(SUFFIXES)}")
     figure, axes = pyplot.subplots(2, 2, figsize=(11.0, 7.0), layout="constrained")
     for axis, (name, title) in zip(axes.flat, SHOWN.items(), strict=True):
         for run in runs:
@@ -66,19 +83,26 @@ def draw(runs: list[Path], output: Path) -> None:
         axis.set_xlabel("minutes")
         axis.spines[["top", "right"]].set_visible(False)
     axes[0, 0].legend(frameon=False)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(output, dpi=110)
+    drawn = io.BytesIO()
+    figure.savefig(drawn, dpi=110, format=output.suffix[1:].lower())
     pyplot.close(figure)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(output, drawn.getvalue())
 
 
-def main() -> None:
-    """Read the command line and draw."""
+@one_line()
+def main(arguments: list[str] | None = None) -> None:
+    """Read the command line and draw.
+
+    Raises:
+        SystemExit: it cannot be done; one line says why.
+    """
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("runs", nargs="+", type=Path, help="folders of runs")
     parser.add_argument("-o", "--out", type=Path, default=Path("runs/curves.png"))
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     draw(given.runs, given.out)
     print(f"wrote {given.out}")
 

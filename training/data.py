@@ -6,6 +6,7 @@ Everything is decoded once. Training reads `train/` of the data folder and gener
 import io
 import json
 import os
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -90,11 +91,19 @@ def data_folder(given: str = "") -> Path | None:
 
 @contextmanager
 def one_line() -> Iterator[None]:
-    """What cannot be read or written ends a program with one line instead of a traceback."""
+    """What cannot be read or written ends a program with one line, and so does Ctrl-C.
+
+    Raises:
+        SystemExit: in the place of an OSError or a KeyboardInterrupt.
+    """
     try:
         yield
     except OSError as error:
-        raise SystemExit(str(error)) from error
+        named = error.filename is not None and error.strerror is not None
+        raise SystemExit(f"{error.filename}: {error.strerror}" if named else str(error)) from error
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        raise SystemExit(130) from None
 
 
 def read(path: Path) -> Image:

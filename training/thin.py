@@ -150,6 +150,8 @@ def main(arguments: list[str] | None = None) -> None:
     folder = data_folder(given.data)
     if folder is None:
         raise SystemExit("no data folder: give --data, or set VWNAV_DATA")
+    if given.out.exists() and given.out.samefile(given.weights):
+        raise SystemExit(f"{given.out} is what is read: it would be lost; give another file")
     saved = load_checkpoint(given.weights)
     whole = FeatureNetwork(NetworkConfig(**saved["config"]["network"]))
     start_from(whole, str(given.weights))

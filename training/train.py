@@ -17,7 +17,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -30,7 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a s
 
 from models.network import FeatureNetwork, NetworkConfig
 from training import validate
-from training.config import TrainConfig, load_checkpoint, parse
+from training.config import TrainConfig, check, load_checkpoint, parse
 from training.data import ROOT, Scene, data_folder, load_scenes, one_line
 from training.journal import Every, Journal, StopWatch, progress_of, save_checkpoint
 from training.objective import compute_losses
@@ -79,13 +79,41 @@ def main(
         resume: Checkpoint to go on from.
         scenes: To train and to validate on; read from the folders when not given.
         build: Makes the network; ablations build variants.
+
+    Raises:
+        SystemExit: a choice, a checkpoint or the images will not do; one line says so.
+        OSError: the run cannot be kept.
     """
+    check(config)
     torch.set_num_threads(config.threads)
     cv2.setNumThreads(1)  # the loader's processes are the parallelism
     team = Team.join(config.batch_pairs)
     torch.manual_seed(config.seed + team.rank)
     device = team.device
     out = ROOT / config.out
+
+    # network, optimizer, and where we are
+    network = build(config.network).to(device, memory_format=torch.channels_last)
+    if config.init and not resume:
+        start_from(network, config.init)
+    teacher = read_network(config.distil_from, device) if config.distil_from else None
+    average_fn = get_ema_multi_avg_fn(config.average_decay)
+    average = AveragedModel(network, multi_avg_fn=average_fn, use_buffers=True)
+    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.weight_decay)
+    step, watch = 0, StopWatch(0.0)
+    if resume:
+        state = load_checkpoint(resume, device)
+        if "optimizer" not in state:
+            raise SystemExit(f"{resume} holds weights alone: start a new run with --init")
+        try:
+            network.load_state_dict(state["network"])
+        except RuntimeError as error:
+            raise SystemExit(f"{resume} holds a network of other widths than are asked") from error
+        average.load_state_dict(state["average"])
+        optimizer.load_state_dict(state["optimizer"])
+        if team.rank == 0:
+            torch.set_rng_state(state["rng"].cpu())
+        step, watch = state["step"], StopWatch(state["elapsed_s"])
 
     # images, and what SIFT makes of the kept-aside ones
     started = time.monotonic()
@@ -107,25 +135,7 @@ def main(
     sift = validate.score_matches(validate.upright_sift, views)
     team.say(f"upright SIFT on the kept-aside views: {sift}")
 
-    # network, optimizer, and where we are
-    network = build(config.network).to(device, memory_format=torch.channels_last)
-    if config.init and not resume:
-        start_from(network, config.init)
-    teacher = read_network(config.distil_from, device) if config.distil_from else None
-    average_fn = get_ema_multi_avg_fn(config.average_decay)
-    average = AveragedModel(network, multi_avg_fn=average_fn, use_buffers=True)
-    optimizer = torch.optim.AdamW(network.parameters(), weight_decay=config.weight_decay)
-    step, watch = 0, StopWatch(0.0)
-    if resume:
-        state = load_checkpoint(resume, device)
-        if "optimizer" not in state:
-            raise SystemExit(f"{resume} holds weights alone: start a new run with --init")
-        network.load_state_dict(state["network"])
-        average.load_state_dict(state["average"])
-        optimizer.load_state_dict(state["optimizer"])
-        if team.rank == 0:
-            torch.set_rng_state(state["rng"].cpu())
-        step, watch = state["step"], StopWatch(state["elapsed_s"])
+    # the loop's parts
     shared = team.share(network)
     augment = batch_augmentation().to(device)
     size = sum(p.numel() for p in network.parameters())
@@ -210,5 +220,19 @@ def main(
     return out / "last.pt"
 
 
+@one_line()
+def run(arguments: Sequence[str] | None = None) -> Path:
+    """Read the command line, and train; a run that is there is gone on with, not written over.
+
+    Raises:
+        SystemExit: it cannot be done, or was interrupted; one line says why.
+    """
+    config, resume = parse(__doc__ or "", arguments)
+    last = ROOT / config.out / "last.pt"
+    if last.exists() and not resume:
+        raise SystemExit(f"{last} is there already: go on with --resume {last}, or give --out")
+    return main(config, resume)
+
+
 if __name__ == "__main__":
-    main(*parse(__doc__ or ""))
+    run()

@@ -103,7 +103,12 @@ def test_a_broken_checkpoint_is_refused_with_one_line(harm, checkpoint, tmp_path
 
 @pytest.mark.parametrize(
     "words",
-    [("-o", "no/such/model.onnx"), ("-o", "."), ("-o", "m.onnx", "--checkpoint", "no/w.ckpt")],
+    [
+        ("-o", "no/such/model.onnx"),
+        ("-o", "."),
+        ("-o", "picture.png"),
+        ("-o", "m.onnx", "--checkpoint", "no/w.ckpt"),
+    ],
 )
 def test_where_nothing_can_be_written_is_said_before_anything_is_done(
     words, checkpoint, tmp_path, capsys, monkeypatch
@@ -113,6 +118,16 @@ def test_where_nothing_can_be_written_is_said_before_anything_is_done(
     assert export_onnx.main([str(checkpoint), *words]) == 1
     assert capsys.readouterr().err.strip().count("\n") == 0
     assert not list(tmp_path.iterdir())
+
+
+def test_what_is_read_is_not_written_over(checkpoint, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(export_onnx, "to_onnx", lambda _: pytest.fail("it began to export"))
+    path = tmp_path / "last.pt"
+    path.write_bytes(checkpoint.read_bytes())
+    words = [str(path), "-o", str(tmp_path / "m.onnx"), "--checkpoint", str(path)]
+    assert export_onnx.main(words) == 1
+    assert "is what is read" in capsys.readouterr().err
+    assert path.read_bytes() == checkpoint.read_bytes()
 
 
 def test_weights_without_their_step_can_be_released(checkpoint, tmp_path):

@@ -73,7 +73,9 @@ def test_without_training_images_nothing_is_written(model, tmp_path, capsys):
     assert "--data" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [("--pictures", "0"), ("-o", "no/int8.onnx"), ("-o", ".")])
+@pytest.mark.parametrize(
+    "words", [("--pictures", "0"), ("-o", "no/int8.onnx"), ("-o", "."), ("-o", "model.onnx")]
+)
 def test_what_cannot_be_calibrated_or_written_is_one_line(
     words, model, tmp_path, capsys, monkeypatch
 ):

@@ -22,3 +22,25 @@ def test_each_row_is_a_network_that_runs_and_can_be_trained(name):
 
 def test_rows_that_change_nothing_else_than_the_seed_are_there_to_show_chance():
     assert ablate.ROWS["base, other seed"] == replace(ablate.ROWS["base"], changes={"seed": "2"})
+
+
+def trained_in(tmp_path, monkeypatch, *words):
+    monkeypatch.setattr(ablate, "run", lambda name, *_: [name, "7", *["0.5"] * 5])
+    ablate.main(["--out", str(tmp_path), *words])
+
+
+def test_rows_that_are_there_are_not_run_again(tmp_path, monkeypatch, capsys):
+    trained_in(tmp_path, monkeypatch, "--only", "base")
+    with (tmp_path / "table.csv").open("a") as file:
+        file.write("\n")
+    trained_in(tmp_path, monkeypatch, "--only", "base", "half the width")
+    assert capsys.readouterr().out.count("half the width") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["table.csv"]
+
+
+@pytest.mark.parametrize("there", [b"", b"\x89PNG\r\n", b"name,value\na,1\n"])
+def test_a_table_of_another_kind_is_one_line_and_stays(there, tmp_path, monkeypatch):
+    (tmp_path / "table.csv").write_bytes(there)
+    with pytest.raises(SystemExit, match="is no table of ablations"):
+        trained_in(tmp_path, monkeypatch)
+    assert (tmp_path / "table.csv").read_bytes() == there

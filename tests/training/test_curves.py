@@ -30,3 +30,22 @@ def test_the_image_is_drawn_for_two_runs(tmp_path):
 def test_a_folder_without_a_log_is_one_line(tmp_path):
     with pytest.raises(SystemExit, match=r"no log\.csv"):
         curves.draw([tmp_path], tmp_path / "curves.png")
+
+
+@pytest.mark.parametrize(
+    "log", [b"\x89PNG\r\n\x1a\n", b"step,matching\n1,2\n", LOG.encode() + b"1,a,2\n"]
+)
+def test_what_is_no_log_is_one_line(log, tmp_path):
+    (tmp_path / "log.csv").write_bytes(log)
+    with pytest.raises(SystemExit, match="is no log of a run") as stop:
+        curves.main([str(tmp_path), "-o", str(tmp_path / "curves.png")])
+    assert "\n" not in str(stop.value.code)
+
+
+@pytest.mark.parametrize("output", ["curves.xyz", ".", "log.csv/curves.png"])
+def test_where_nothing_can_be_drawn_is_one_line(output, tmp_path):
+    (tmp_path / "log.csv").write_text(LOG + "50,60.0,2.5,1.0,0.1\n")
+    with pytest.raises(SystemExit) as stop:
+        curves.main([str(tmp_path), "-o", str(tmp_path / output)])
+    assert str(stop.value.code).count("\n") == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]

@@ -75,3 +75,12 @@ def test_what_cannot_be_made_thin_is_one_line(size, said, tmp_path):
     with pytest.raises(SystemExit, match=said):
         main([str(weights), *words])
     assert not (tmp_path / "thin.ckpt").exists()
+
+
+def test_the_weights_that_are_read_are_not_written_over(tmp_path):
+    (tmp_path / "train").mkdir()
+    weights = tmp_path / "whole.ckpt"
+    weights.write_bytes(b"weights")
+    with pytest.raises(SystemExit, match="is what is read"):
+        main([str(weights), "--data", str(tmp_path), "-o", str(weights)])
+    assert weights.read_bytes() == b"weights"

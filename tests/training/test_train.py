@@ -1,4 +1,5 @@
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -145,6 +146,62 @@ def test_data_that_cannot_be_read_and_a_run_that_cannot_be_kept_are_one_line(
     (tmp_path / "file").write_text("")
     with pytest.raises(SystemExit, match="file"):
         train.main(replace(SHORT, out=str(tmp_path / "file")), scenes=(drawn_scenes, []))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        (["--minutes", "nan"], "minutes = nan"),
+        (["--minutes", "-1"], "minutes = -1"),
+        (["--minutes", "0"], "would never end"),
+        (["--set", "learning_rate=nan"], "learning_rate = nan"),
+        (["--set", "samples.zoom_min=inf"], "samples.zoom_min = inf"),
+        (["--set", "samples.size_px=100"], "a multiple of 32"),
+        (["--set", "batch_pairs=0"], "batch_pairs = 0"),
+        (["--set", "log_every_steps=0"], "log_every_steps = 0"),
+    ],
+)
+def test_what_no_run_can_be_made_with_is_one_line_before_images_are_read(
+    wrong, said, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(train, "load_scenes", lambda *_: pytest.fail("it read images"))
+    with pytest.raises(SystemExit, match=said) as stop:
+        train.run([*wrong, "--out", str(tmp_path / "run")])
+    assert "\n" not in str(stop.value.code)
+
+
+@pytest.mark.parametrize("option", ["--init={}", "--set=distil_from={}"])
+def test_a_checkpoint_that_is_none_is_said_before_images_are_read(option, tmp_path, monkeypatch):
+    monkeypatch.setattr(train, "load_scenes", lambda *_: pytest.fail("it read images"))
+    absent = option.format(tmp_path / "none.pt")
+    with pytest.raises(SystemExit, match="no checkpoint"):
+        train.run(["--preset", "smoke", absent, "--out", str(tmp_path / "run")])
+
+
+def test_a_run_that_is_there_is_not_written_over(tmp_path):
+    (tmp_path / "last.pt").write_bytes(b"three hours of training")
+    with pytest.raises(SystemExit, match=r"is there already: go on with --resume .*last\.pt"):
+        train.run(["--preset", "smoke", "--out", str(tmp_path)])
+    assert (tmp_path / "last.pt").read_bytes() == b"three hours of training"
+
+
+def test_a_checkpoint_of_other_widths_or_choices_is_one_line(drawn_scenes, tmp_path):
+    path = train.main(replace(SHORT, out=str(tmp_path), max_steps=1), scenes=(drawn_scenes, []))
+    with pytest.raises(SystemExit, match="of other widths"):
+        train.run(["--resume", str(path), "--set", "network.channels=32"])
+    state = load_checkpoint(path)
+    torch.save(state | {"config": state["config"] | {"speed": 9}}, path)
+    with pytest.raises(SystemExit, match="speed"):
+        train.run(["--resume", str(path)])
+
+
+@pytest.mark.parametrize("wrong", [KeyboardInterrupt(), OSError(28, "No space left", "last.pt")])
+def test_an_interrupt_and_a_full_disk_are_one_line(wrong, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(train, "main", Mock(side_effect=wrong))
+    with pytest.raises(SystemExit) as stop:
+        train.run(["--preset", "smoke", "--out", str(tmp_path)])
+    said = f"{stop.value.code}{capsys.readouterr().err}"
+    assert said in ("130interrupted\n", "last.pt: No space left")
 
 
 @pytest.mark.long
