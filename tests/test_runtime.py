@@ -249,8 +249,9 @@ def test_estimates_leave_at_50_hz_predicted_to_now_with_the_age_of_the_last_fix(
     assert np.all(np.diff([each.t_s - each.t_last_fix_s for each in link.sent]) > 0.0)
 
 
-def test_images_that_break_the_pipeline_never_switch_vision_off():
+def test_images_that_break_the_pipeline_never_switch_vision_off(caplog):
     flown = fly(Path(broken=True), Mission(ticks=20))
+    assert sum(bool(each.exc_info) for each in caplog.records) == 1  # thirty a second fill a screen
     assert flown.end.reason is None
     assert len(flown.path.seen) > 40
     assert sum("could not be used" in text for text in flown.record.events) == 1

@@ -203,7 +203,8 @@ class FlightRuntime:
         try:
             step = self._without(frame, trouble) if trouble else self._pipeline.step(frame)
         except Exception as error:
-            log.exception("picture %d could not be used", frame.index)
+            first = "broken picture" not in self._said  # thirty tracebacks a second tell no more
+            log.warning("picture %d could not be used: %r", frame.index, error, exc_info=first)
             self._say_once("broken picture", f"a picture could not be used: {error!r}")
             self._follows = False
             return

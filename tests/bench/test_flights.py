@@ -1,6 +1,7 @@
 """Campaigns of flights: their plan, their numbers, and a folder that goes on where it was."""
 
 import json
+import os
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -156,6 +157,14 @@ def test_a_folder_of_another_campaign_is_refused(tmp_path: Path) -> None:
     CampaignFolder(tmp_path, CAMPAIGN)
     with pytest.raises(VwnavError, match="another campaign \\(wind_m_s differ"):
         CampaignFolder(tmp_path, replace(CAMPAIGN, wind_m_s=3.0))
+
+
+@pytest.mark.parametrize("part", [".", "worst"])
+def test_a_folder_that_may_not_be_written_is_said_before_a_flight(part, tmp_path, monkeypatch):
+    CampaignFolder(tmp_path, CAMPAIGN)
+    monkeypatch.setattr(os, "access", lambda path, _: path != tmp_path / part)
+    with pytest.raises(VwnavError, match="it may not be written"):
+        CampaignFolder(tmp_path, CAMPAIGN)
 
 
 def test_a_line_of_another_version_is_said(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from vwnav.bench.speed import run
 from vwnav.bench.speed.accuracy import Accuracy, accuracy_of
 from vwnav.bench.speed.choice import chosen_of, ranking, try_in_real_time, words
 from vwnav.bench.speed.projection import projections
-from vwnav.bench.speed.report import tables, write_settings
+from vwnav.bench.speed.report import check_place, tables, write_settings
 from vwnav.bench.speed.results import Latency, SpeedReport, StepTime, TimedSetting, Wanted
 from vwnav.bench.speed.settings import (
     CAMERA_HZ,
@@ -164,6 +164,18 @@ def test_nothing_is_written_where_nothing_holds_the_rate(rows, monkeypatch, tmp_
         assert done.value.code == 1
         assert complaint in capsys.readouterr().err
     assert not (tmp_path / "board.toml").exists()
+
+
+def test_only_settings_of_an_earlier_run_are_written_over(rows, tmp_path):
+    path, other = tmp_path / "board.toml", tmp_path / "picture.png"
+    write_settings(path, report(rows, choose(rows, 5.0, lambda _: LATENCY)))
+    check_place(path)
+    for there in (b"\x89PNG\r\n", b"[safety]\n"):
+        other.write_bytes(there)
+        with pytest.raises(ConfigError, match="is there already, and of no `bench speed`"):
+            check_place(other)
+    other.write_bytes(b"")
+    check_place(other)
 
 
 def test_settings_that_were_there_stay_when_new_ones_cannot_be_written(rows, monkeypatch, tmp_path):

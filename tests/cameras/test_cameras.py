@@ -17,6 +17,7 @@ from vwnav.cameras.live import RealTimeSource
 from vwnav.cameras.picamera import PicameraGrabber
 from vwnav.cameras.retimed import RetimedSource
 from vwnav.cameras.sources import open_source
+from vwnav.cameras.video_container import is_bare_stream
 from vwnav.cameras.video_file import VideoFile
 from vwnav.errors import SourceError
 
@@ -44,13 +45,13 @@ def frames_of(source) -> list:
 
 def frames_before_error(source, words: str) -> list:
     """All that comes before a SourceError, which has to match and to be one line."""
-    frames = []
+    frames, said = [], ""
     try:
-        while True:
-            frames.append(source.next_frame())
+        for frame in iter(source.next_frame, None):
+            frames.append(frame)
     except SourceError as error:
         said = str(error)
-    assert re.search(words, said)
+    assert re.search(words, said), f"it ended after {len(frames)} frames, saying {said!r}"
     assert "\n" not in said
     return frames
 
@@ -116,6 +117,42 @@ def test_a_cut_mp4_whose_index_is_in_front_gives_the_good_images_first(tmp_path)
     path.write_bytes(front[: int(len(front) * 0.7)])
     words = r"ends in the middle of picture \d+ of 30"
     assert 5 < len(frames_before_error(open_source(str(path)), words)) < 28
+
+
+def test_a_stream_without_a_container_says_at_which_rate_it_is_taken(tmp_path, caplog):
+    write_video(tmp_path / "a.avi", "mp4v")
+    assert len(frames_of(open_source(str(tmp_path / "a.avi")))) == 30
+    assert not caplog.records
+    (tmp_path / "a.m4v").write_bytes(out_of_avi((tmp_path / "a.avi").read_bytes()))
+    assert len(frames_of(open_source(str(tmp_path / "a.m4v")))) == 30
+    (said,) = caplog.messages
+    assert "a.m4v holds no times, and is taken as" in said
+
+
+def out_of_avi(whole: bytes) -> bytes:
+    """Its pictures as the encoder put them out."""
+    at, found = whole.index(b"movi") + 4, b""
+    while whole[at : at + 4] == b"00dc":
+        length = int.from_bytes(whole[at + 4 : at + 8], "little")
+        found += whole[at + 8 : at + 8 + length]
+        at += 8 + length + length % 2
+    return found
+
+
+@pytest.mark.parametrize(
+    ("head", "is_bare"),
+    [
+        (b"\x00\x00\x00\x01\x67\x42\x00\x1e", True),  # H.264
+        (b"\x00\x00\x01\x40\x01\x0c\x01\xff", True),  # H.265
+        (b"\x00\x00\x01\xba\x44\x00\x04\x00", False),  # MPEG program stream
+        (b"\x00\x00\x00\x01mdat", False),  # a large MOV
+        (b"\x00\x00\x00\x18ftyp", False),
+        (b"", False),
+    ],
+)
+def test_a_stream_without_a_container_is_known_by_its_start(head, is_bare, tmp_path):
+    (tmp_path / "a").write_bytes(head)
+    assert is_bare_stream(tmp_path / "a") == is_bare
 
 
 def test_what_is_no_video_or_not_there_says_so(tmp_path):

@@ -65,6 +65,8 @@ def test_what_cannot_be_flown_is_said(words, says, tmp_path):
         (["--connection", "udpin://0.0.0.0:24000", "--map", "a", "--home", "1,2"],
          "without --truth a test needs --camera, --video, too"),
         (["--truth", "udpout:127.0.0.1:24001"], "go with --connection"),
+        (["--connection", "udpin://0.0.0.0:24000", "--truth", "udpout:127.0.0.1:24001",
+          "--camera", "b"], "--map, --camera, --video and --home go without --truth"),
         (["--map", "a", "--camera", "b", "--video", "c", "--home", "1,2"], "go with --connection"),
     ],
 )  # fmt: skip

@@ -39,6 +39,26 @@ def test_what_a_short_row_lacks_is_empty_and_what_is_beyond_left_out():
     ]
 
 
+@pytest.mark.parametrize(
+    ("text", "read"),
+    [
+        ("image,yaw_deg,yaw_deg\na.jpg,1,2\n", read_metadata_table),
+        ("t_s,roll_deg,t_s\n0,1,2\n", load_telemetry),
+        ("file,north,west,South,east, south\na,61,22,59,23,60\n", read_corners),
+    ],
+)
+def test_two_columns_of_one_name_are_refused(tmp_path: Path, text: str, read):
+    (tmp_path / "t.csv").write_text(text)
+    with pytest.raises(VwnavError, match=r"t\.csv: has two columns (yaw_deg|t_s|South); leave"):
+        read(tmp_path / "t.csv")
+
+
+def test_columns_without_a_name_may_be_several():
+    columns, rows = named_rows(["a,,", "1,2,3"], PATH, SourceError)
+    assert columns == ["a", "", ""]
+    assert [row["a"] for _, row in rows] == ["1"]
+
+
 def test_an_empty_table_has_no_columns():
     columns, rows = named_rows([], PATH, MapError)
     assert (columns, list(rows)) == ([], [])

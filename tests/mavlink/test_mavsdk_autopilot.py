@@ -57,10 +57,11 @@ def test_an_unknown_firmware_is_refused():
 @pytest.mark.parametrize("wanted", [7, 9])
 def test_of_two_on_the_link_the_one_that_is_wanted_is_followed(wanted):
     port = free_port()
-    with Peer(port), Peer(port, system_id=9):
+    with Peer(port) as one, Peer(port, system_id=9) as other:
         autopilot = MavsdkAutopilot(f"udpin://127.0.0.1:{port}", system_id=wanted)
         followed = autopilot.system_id()
-        wait_for(lambda: len(autopilot._port._heard()) == 2)
+        # Who hears us has been heard: on such a link nobody else's address is known.
+        wait_for(lambda: one.of("HEARTBEAT") and other.of("HEARTBEAT"))
         refused = autopilot.link_refusal
         autopilot.close()
     assert followed == wanted

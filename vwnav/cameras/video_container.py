@@ -8,7 +8,21 @@ from typing import BinaryIO, Literal
 _EBML_MAGIC = b"\x1a\x45\xdf\xa3"
 _EBML_SEGMENT = b"\x18\x53\x80\x67"
 _ISO_BOXES = {b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"moof", b"uuid", b"sidx"}
+_START_CODES = (b"\x00\x00\x00\x01", b"\x00\x00\x01")
+_TIMED_MPEG = (b"\x00\x00\x01\xba", b"\x00\x00\x01\xb3")  # program stream, MPEG-1 and 2
 _TRIMMED_S = 0.05  # an edit list that leaves out less: a sound's lead, or three pictures at most
+
+
+def is_bare_stream(path: Path) -> bool:
+    """Whether it is H.264, H.265 or MPEG-4 as an encoder puts it out: in no container, so no times.
+
+    Such a file begins with a start code; MPEG-1 and MPEG-2, which begin alike, tell their times or
+    their rate.
+    """
+    with path.open("rb") as file:
+        head = file.read(8)
+    is_of_another = head.startswith(_TIMED_MPEG) or head[4:] in _ISO_BOXES  # large `mdat` in front
+    return head.startswith(_START_CODES) and not is_of_another
 
 
 def is_cut_off(path: Path) -> bool:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.cameras.video_container import is_cut_off, what_is_counted
+from vwnav.cameras.video_container import is_bare_stream, is_cut_off, what_is_counted
 from vwnav.errors import SourceError
 from vwnav.types import Frame
 
@@ -55,6 +55,10 @@ class VideoFile:
                          "the camera took them", path, turned_deg)  # fmt: skip
         self._fps = self._video.get(cv2.CAP_PROP_FPS) or 30.0
         self._expected = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
+        if is_bare_stream(path):
+            _log.warning("%s holds no times, and is taken as %g pictures a second; if that is not "
+                         "so: `ffmpeg -r RATE -i %s -c copy other.mp4`",
+                         path, self._fps, path.name)  # fmt: skip
         self._index, self._goes_on = 0, False  # after damage
         self._last_t_s = -1.0
         self._ahead: deque[Frame] = deque()

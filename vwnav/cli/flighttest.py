@@ -113,7 +113,9 @@ def _thesis_test(name: str, what: str, example: str) -> None:
         as_json: bool = typer.Option(False, "--json", help=_ONE_OBJECT),
         output: Path | None = typer.Option(None, "-o", "--output", help=_FOLDER),
     ) -> None:
-        eyes = None if truth is not None else _eyes(map_source, camera, video, home)
+        if truth is not None and (map_source or camera or video or home):
+            raise ConfigError("--map, --camera, --video and --home go without --truth")
+        eyes = _eyes(map_source, camera, video, home)
         links = _links(connection, truth, pilot, eyes)
         _run_test(name, manners_of(manners), links, as_json, output)
 
@@ -209,8 +211,7 @@ def _run_test(
     else:
         _show_test(report)
     say(f"flighttest: wrote {', '.join(report.files)} to {folder}")
-    failed = [step.name for step in report.steps if not step.passed]
-    if failed:
+    if failed := [step.name for step in report.steps if not step.passed]:
         raise VwnavError(f"the {name} test failed: {'; '.join(failed)}")
     say(f"the {name} test passed, scored against {report.scored_against}")
 
@@ -315,8 +316,7 @@ def _collect(
             _tell(result, len(results), len(rows))
     order = [row.name for row in rows]
     results.sort(key=lambda each: order.index(each.name))
-    lines = [json.dumps(asdict(each)) for each in results]
-    write_whole(folder / "faults.json", "\n".join(lines) + "\n")
+    write_whole(folder / "faults.json", "".join(f"{json.dumps(asdict(r))}\n" for r in results))
     if not as_json:
         _show_verdicts(results)
     say(f"flighttest: wrote faults.json and a picture of each failure to {folder}")

@@ -1,6 +1,7 @@
 """Tables as CSV: rows with their lines, and one line of complaint where they cannot be read."""
 
 import csv
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import zip_longest
 from pathlib import Path
@@ -36,11 +37,18 @@ def named_rows(
 ) -> tuple[list[str], Iterator[tuple[int, dict[str, str]]]]:
     """The columns that a table's first row names, and the others: line, and cells by column.
 
-    A cell that a short row lacks is empty; those beyond the last column are left out. Arguments and
-    errors are those of `numbered_rows`.
+    A cell that a short row lacks is empty; those beyond the last column are left out. Arguments are
+    those of `numbered_rows`.
+
+    Raises:
+        VwnavError: an `error`; as `numbered_rows`, or two columns have one name: which of them
+            counts nobody knows.
     """
     rows = numbered_rows(lines, path, error)
     _, columns = next(rows, (0, []))
+    twice = [name for name, count in Counter(columns).items() if name and count > 1]
+    if twice:
+        raise error(f"{path}: has two columns {twice[0]}; leave out the wrong one")
     named = (
         (line, dict(zip_longest(columns, cells[: len(columns)], fillvalue="")))
         for line, cells in rows

@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, fields
@@ -39,6 +40,8 @@ class CampaignFolder:
             self.flights = self._read()
         except OSError as error:
             raise VwnavError(f"cannot use the folder {folder}: {error.strerror}") from error
+        if not (os.access(folder, os.W_OK) and os.access(folder / RECORDINGS, os.W_OK)):
+            raise VwnavError(f"cannot use the folder {folder}: it may not be written")
 
     def _claim(self, campaign: Campaign) -> None:
         path, wanted = self.folder / CAMPAIGN, campaign.as_json()

@@ -20,6 +20,8 @@ from vwnav.bench.speed.results import SpeedReport, TimedSetting
 from vwnav.errors import ConfigError
 from vwnav.files.whole import write_whole
 
+_HEAD = "# Chosen by `vwnav bench speed`"  # begins what is written; only that is written over
+
 # Chapter 7 of the thesis: its whole navigation on a Raspberry Pi 4, images a second.
 THESIS_HZ = {"sift": "17", "orb": "17", "XFeat": "below 1"}
 
@@ -152,7 +154,9 @@ def refusal(report: SpeedReport) -> str:
 
 
 def check_place(path: Path) -> None:
-    """See that a file may be written there, before anything is measured.
+    """See that a file may be written there, before anything is measured, and writes over nothing.
+
+    What an earlier run of the command wrote gives way.
 
     Raises:
         ConfigError: it cannot.
@@ -161,6 +165,17 @@ def check_place(path: Path) -> None:
         raise ConfigError(f"cannot write {path}: give a file in a folder that exists")
     if not os.access(path.parent, os.W_OK):
         raise ConfigError(f"cannot write {path}: its folder may not be written")
+    if path.exists() and not _is_ours(path):
+        raise ConfigError(f"{path} is there already, and of no `bench speed`; give another file")
+
+
+def _is_ours(path: Path) -> bool:
+    """Whether an earlier run wrote it; an empty file holds nothing."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(_HEAD)).decode(errors="replace") in ("", _HEAD)
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror}") from error
 
 
 def write_settings(path: Path, report: SpeedReport) -> None:
@@ -172,8 +187,8 @@ def write_settings(path: Path, report: SpeedReport) -> None:
     chosen = report.chosen
     assert chosen is not None
     said = words(chosen, report.rows, report.wanted.target_hz, report.cores)
-    head = f"Chosen by `vwnav bench speed` on {date.today()} for {report.machine}."
-    comment = "".join(f"# {line}\n" for line in (head, *said))
+    head = f"{_HEAD} on {date.today()} for {report.machine}.\n"
+    comment = head + "".join(f"# {line}\n" for line in said)
     settings = tomli_w.dumps(chosen.timed.setting.as_config(report.wanted.target_hz))
     try:
         write_whole(path, f"{comment}\n{settings}")

@@ -156,6 +156,10 @@ def _columns(table: Path, header: Sequence[str]) -> dict[str, int]:
                 f"{table}: no column for {column}; expected a header such as Filename, "
                 "Top_left_lat, Top_left_lon, Bottom_right_lat, Bottom_right_lon"
             )
+        if len(matches) > len({spelt[i] for i in matches}):
+            raise MapError(
+                f"{table}: has two columns {header[matches[0]]}; leave out the wrong one"
+            )
         columns[column] = matches[0]
     return columns
 
