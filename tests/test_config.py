@@ -46,6 +46,10 @@ def test_any_value_survives_the_file(tmp_path_factory, value):
     [
         ("[ekf]\nheigth_sigma_m = 1", "did you mean 'height_sigma_m'"),
         ("[pipelin]\nx = 1", "did you mean 'pipeline'"),
+        ("cruise_m_s = 6.0", "did you mean 'limits.cruise_m_s'"),
+        ("[safety]\ncruise_m = 6.0", "did you mean 'limits.cruise_m_s'"),
+        ("[ekf]\ngyro_sigma_rad_s = 5.0", "ekf.gyro_sigma_rad_s = 5.0: expected 0 to 3.14159"),
+        ("ekf = 3", "ekf = 3: expected a table of settings, \\[ekf\\]"),
         ("[limits]\nclimb_m_s = 'fast'", "limits.climb_m_s"),
         ("[limits]\nclimb_m_s = nan", "limits.climb_m_s"),
         ("[features]\nname = 'surf'", "features.name"),

@@ -125,8 +125,19 @@ def explain(error: ValidationError) -> str:
     where = [str(part) for part in fault["loc"]]
     if fault["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
         near = difflib.get_close_matches(where[-1], _known_names(where[:-1]), n=1)
+        if not near:  # of another table, perhaps, whose line is missing above it
+            elsewhere = {
+                name: f"{t}.{name}" for t in Config.model_fields for name in _known_names([t])
+            }
+            near = [
+                elsewhere[name] for name in difflib.get_close_matches(where[-1], elsewhere, n=1)
+            ]
         hint = f", did you mean {near[0]!r}?" if near else ""
         return f"there is no setting {'.'.join(where)!r}{hint}"
+    if fault["type"] == "dataclass_type":
+        return (
+            f"{where[0]} = {in_short(fault['input'])}: expected a table of settings, [{where[0]}]"
+        )
     if fault["type"] == "value_error":
         return f"{'.'.join(where)}.{fault['ctx']['error']}"
     return f"{'.'.join(where)} = {in_short(fault['input'])}: {fault['msg'].lower()}"

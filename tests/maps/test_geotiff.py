@@ -130,6 +130,22 @@ def test_sixteen_bits_are_stretched_and_gray_becomes_colour(tmp_path: Path):
     assert np.array_equal(image.bgr[..., 0], image.bgr[..., 2])
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf, 1e300, -3.4e38])
+def test_values_that_are_none_or_far_off_are_no_warning_and_hide_nothing(tmp_path: Path, wrong):
+    ramp = np.linspace(200, 3000, 320)[None, None].repeat(300, axis=1)
+    ramp[0, 100:105, 100:120] = wrong
+    image = RasterFile(write_tiff(tmp_path / "d.tif", ramp)).window(Window(0, 0, 320, 300))
+    assert image.bgr[0, 10, 0] < 20 < 235 < image.bgr[0, -10, 0]
+    assert image.mask[:99, 20:-20].all()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_raster_of_one_value_says_that_it_shows_nothing(tmp_path: Path):
+    with pytest.raises(MapError, match="holds no imagery"):
+        pack_of(write_tiff(tmp_path / "flat.tif", np.full((1, 300, 320), 300, np.uint16)))
+
+
 @pytest.mark.parametrize("photometric", ["rgb", "minisblack"])
 def test_infrared_in_a_fourth_band_is_left_out(tmp_path: Path, photometric: str):
     bands = np.concatenate([texture_rgb(), np.full((1, 300, 320), 255, np.uint8)])

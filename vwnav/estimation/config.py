@@ -39,8 +39,8 @@ class EkfConfig(Settings):
     accelerometer_walk_m_s2: NotNegative = 0.003  # per root second
     gyro_noise_rad: Angle = math.radians(0.05)  # per root second: what a gyro's turn wanders
     gyro_share: Share = 0.001  # of a turn: scale factor, and what happens between samples
-    gyro_sigma_rad_s: NotNegative = math.radians(0.5)  # bias at first
-    gyro_walk_rad_s: NotNegative = math.radians(0.005)  # per root second
+    gyro_sigma_rad_s: Angle = math.radians(0.5)  # bias at first
+    gyro_walk_rad_s: Angle = math.radians(0.005)  # per root second
     # At first; from 0.1 of a slick large one to 1 of PX4's simulated one
     drag_per_s: Positive = 0.35
     drag_sigma_per_s: Positive = 0.3  # at first
@@ -86,7 +86,8 @@ class EkfConfig(Settings):
     rangefinder_sigma_m: Positive = 0.05
     rangefinder_sigma_ratio: Share = 0.02  # of the distance
     stationary_sigma_m_s: Positive = 0.05
-    stationary_sigma_rad_s: Positive = math.radians(0.4)  # of its turning, by the gyro
+    # Of its turning, by the gyro.
+    stationary_sigma_rad_s: Annotated[float, Within(0.0, math.pi, above=True)] = math.radians(0.4)
     stationary_s: Positive = 1.0  # who stood disarmed does not move sooner: rotors spin up first
     stationary_agl_m: Positive = 0.15  # height of the camera while the aircraft stands
     stationary_agl_sigma_m: Positive = 0.15
@@ -129,7 +130,7 @@ class EkfConfig(Settings):
     push_off_m_s2: Positive = 5.0  # ... or the push as the attitude has it
     offset_span_s: Positive = 0.5  # and the least time they span
     # By which agreeing headings may drift apart
-    heading_drift_rad_s: NotNegative = math.radians(2.0)
+    heading_drift_rad_s: Angle = math.radians(2.0)
 
     @property
     def map_first_sigma_m(self) -> float:

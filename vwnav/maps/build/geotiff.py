@@ -127,8 +127,8 @@ class RasterFile:
         if self._stretch is not None:
             low, high = (limit[:, None, None] for limit in self._stretch)
             mask = mask & np.isfinite(values).all(axis=0)
-            finite = np.nan_to_num(values.astype(np.float32))
-            values = np.round((finite - low) / (high - low) * 255.0).clip(0, 255)
+            inside = np.clip(np.nan_to_num(values), low, high)
+            values = np.round((inside - low) / (high - low) * 255.0)
         rgb = np.moveaxis(values.astype(np.uint8), 0, -1)
         if rgb.shape[2] == 1:
             rgb = np.repeat(rgb, 3, axis=2)
@@ -143,7 +143,7 @@ class RasterFile:
         if self._crs is None:
             raise MapError(f"{self._path}: names no coordinate system; say it with --crs EPSG:...")
 
-    def _stretch_limits(self) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
+    def _stretch_limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
         """(low, high) of each band from a thinned reading, for rasters deeper than 8 bits."""
         if self._dataset.dtypes[0] == "uint8":
             return None
@@ -154,11 +154,11 @@ class RasterFile:
             mask = self._dataset.dataset_mask(out_shape=shape) > 0
         except rasterio.errors.RasterioError as error:
             raise MapError(f"{self._path}: damaged or cut off ({_line(error)})") from error
-        values = sample[:, mask & np.isfinite(sample).all(axis=0)].astype(np.float32)
+        values = sample[:, mask & np.isfinite(sample).all(axis=0)]
         if not values.size:
             raise MapError(f"{self._path}: holds no data")
-        low, high = np.percentile(values, _STRETCH_PERCENT, axis=1).astype(np.float32)
-        return low, np.maximum(high, low + 1e-6)
+        low, high = np.percentile(values, _STRETCH_PERCENT, axis=1)
+        return low, np.where(high > low, high, np.nextafter(low, np.inf))
 
     def _undeclared_collar(self) -> Collar | None:
         """Black or white borders of a raster that declares no missing data at all."""
