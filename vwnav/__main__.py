@@ -99,11 +99,19 @@ def main() -> None:
         print(f"vwnav: {_one_line(wrong)}", file=sys.stderr)
         sys.exit(_exit_code(wrong))
     except KeyboardInterrupt:
-        print("vwnav: interrupted", file=sys.stderr)
+        _say_interrupted()
         sys.exit(EXIT_INTERRUPTED)
+    except SystemExit as ended:
+        if ended.code == EXIT_INTERRUPTED:  # typer's own, without a word
+            _say_interrupted()
+        raise
     except OSError as error:
         _complain(error)
         sys.exit(EXIT_FAILED)
+
+
+def _say_interrupted() -> None:
+    print("vwnav: interrupted", file=sys.stderr)
 
 
 def _one_line(wrong: VwnavError) -> str:

@@ -1,6 +1,9 @@
 """A command that fails says one line, whatever it has taken of a file."""
 
+import sys
+
 import pytest
+import typer
 
 from vwnav import __main__ as command
 from vwnav.errors import SourceError
@@ -20,6 +23,21 @@ def said(monkeypatch, capsys, text: str) -> str:
 def test_what_would_command_the_terminal_is_left_out(monkeypatch, capsys):
     line = said(monkeypatch, capsys, "no column t_s;\nit has \x1b[2J, \x00\x9b, Höhe")
     assert line == "vwnav: no column t_s; it has \ufffd[2J, \ufffd\ufffd, Höhe\n"
+
+
+def test_an_interrupt_is_one_line_and_the_shells_exit_code(monkeypatch, capsys):
+    app = typer.Typer()
+
+    @app.command()
+    def work() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys, "argv", ["vwnav"])
+    monkeypatch.setattr(command, "app", app)
+    with pytest.raises(SystemExit) as ended:
+        command.main()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err.strip() == "vwnav: interrupted"
 
 
 def test_what_would_fill_the_terminal_is_cut(monkeypatch, capsys):

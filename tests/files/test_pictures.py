@@ -4,7 +4,9 @@ import struct
 import zlib
 from pathlib import Path
 
+import cv2
 import pytest
+from PIL import Image, TiffImagePlugin
 
 from vwnav.cameras.image_folder import read_image
 from vwnav.errors import MapError, SourceError
@@ -28,3 +30,12 @@ def test_more_pixels_than_are_decoded_is_one_line(tmp_path):
     table.write_text("filename,north,west,south,east\nhuge.png,47.1,8.1,47.0,8.2\n")
     with pytest.raises(MapError, match=r"huge\.png: has more pixels than are decoded"):
         corner_images(table)
+
+
+def test_the_tags_of_a_geotiff_are_no_news(tmp_path, capfd):
+    tags = TiffImagePlugin.ImageFileDirectory_v2()
+    tags[34737] = "WGS 84 / UTM zone 43N|"
+    Image.new("L", (8, 8)).save(tmp_path / "a.tif", tiffinfo=tags)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_WARNING)
+    assert read_image(tmp_path / "a.tif").shape[:2] == (8, 8)
+    assert capfd.readouterr().err == ""
