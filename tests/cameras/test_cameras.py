@@ -83,6 +83,16 @@ def test_a_video_that_ends_in_an_image_gives_the_good_ones_then_one_clear_line(
         assert float(frame.image[80:, 80:].mean()) == pytest.approx(24.5 + 5 * number, abs=3.0)
 
 
+@pytest.mark.parametrize("name", ["a.ts", "a.m2ts"])
+def test_a_transport_stream_cut_off_within_a_packet_ends_with_an_error(tmp_path, name):
+    write_video(tmp_path / name, "mp4v")
+    assert len(frames_of(open_source(str(tmp_path / name)))) == 30
+    whole = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(whole[: len(whole) // 2 + 50])
+    frames = frames_before_error(VideoFile(tmp_path / name), "ends in the middle of picture")
+    assert 5 < len(frames) < 20
+
+
 def test_an_mp4_cut_anywhere_is_refused_in_one_line(tmp_path):
     write_video(tmp_path / "whole.mp4", "mp4v")
     whole = (tmp_path / "whole.mp4").read_bytes()

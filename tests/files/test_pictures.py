@@ -32,10 +32,14 @@ def test_more_pixels_than_are_decoded_is_one_line(tmp_path):
         corner_images(table)
 
 
-def test_the_tags_of_a_geotiff_are_no_news(tmp_path, capfd):
+def test_what_the_decoder_says_of_a_geotiff_is_not_told(tmp_path, capfd):
     tags = TiffImagePlugin.ImageFileDirectory_v2()
     tags[34737] = "WGS 84 / UTM zone 43N|"
     Image.new("L", (8, 8)).save(tmp_path / "a.tif", tiffinfo=tags)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_WARNING)
     assert read_image(tmp_path / "a.tif").shape[:2] == (8, 8)
+    data = (tmp_path / "a.tif").read_bytes()
+    (tmp_path / "a.tif").write_bytes(data[:-20])
+    with pytest.raises(SourceError, match="is not a picture that can be read"):
+        read_image(tmp_path / "a.tif")
     assert capfd.readouterr().err == ""

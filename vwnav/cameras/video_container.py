@@ -26,7 +26,10 @@ def is_bare_stream(path: Path) -> bool:
 
 
 def is_cut_off(path: Path) -> bool:
-    """True when an MP4/MOV, MKV/WebM or AVI file is shorter than it says; False when unknown."""
+    """True when an MP4/MOV, MKV/WebM or AVI file is shorter than it says; False when unknown.
+
+    A transport stream does not say: one that ends within a packet was cut off.
+    """
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(12)
@@ -37,7 +40,8 @@ def is_cut_off(path: Path) -> bool:
             return 8 + int.from_bytes(head[4:8], "little") > size
         if head[4:8] in _ISO_BOXES:
             return _iso_is_cut_off(file, size)
-    return False
+        packet_bytes = _transport_packet_bytes(file)
+    return packet_bytes > 0 and size % packet_bytes > 0
 
 
 def what_is_counted(path: Path) -> Literal["pictures", "periods"] | None:
@@ -58,6 +62,13 @@ def what_is_counted(path: Path) -> Literal["pictures", "periods"] | None:
         except (LookupError, ValueError, ArithmeticError, struct.error):
             return None  # of a damaged index nothing is believed
     return None
+
+
+def _transport_packet_bytes(file: BinaryIO) -> int:
+    """188, or a camcorder's 192, by the sync bytes of three; 0 of another container."""
+    head = file.read(3 * 192)
+    found = [length for length, sync in ((188, 0), (192, 4)) if head[sync::length][:3] == b"GGG"]
+    return found[0] if found else 0
 
 
 def _iso_boxes(file: BinaryIO, at: int, end: int) -> Iterator[tuple[bytes, int, int]]:

@@ -21,7 +21,7 @@ def read_picture(path: Path, flags: int, error: type[VwnavError]) -> NDArray[Any
     Raises:
         VwnavError: an `error`; it cannot be read or decoded.
     """
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # of a GeoTIFF's every tag
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what is wrong we say
     try:
         data = np.fromfile(path, np.uint8)
         image = cv2.imdecode(data, flags) if data.size else None
