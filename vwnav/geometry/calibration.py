@@ -7,6 +7,7 @@ the camera away from looking straight down with its upper edge to the nose. `sen
 fields of `SensorMode` that are known; `calibrated` says how all of it was found.
 """
 
+import difflib
 import json
 import math
 import tomllib
@@ -28,6 +29,9 @@ from vwnav.types import Array
 _NESTING, _MOST_NESTING = ("[", "{", "- ", ":"), 5000  # of YAML; OpenCV writes some dozens
 _MAX_BYTES = 1_000_000
 _LEAST_FOCAL_RATIO = 0.001  # what warming and focusing leave of a measured one
+_FOCAL_RATIOS = (0.05, 50.0)  # of the longer side: from 170 degrees to one, and some more
+_MOST_ASPECT = 2.0  # of a pixel's sides: of pictures that were squeezed, 4:3 to 16:9 say
+_MIDDLE = 0.25, 0.75  # shares of a side: farther off is the calibration of another size
 _NUMBERS = ("fx_px", "fy_px", "cx_px", "cy_px")
 _REQUIRED = ("width_px", "height_px", "model", *_NUMBERS)
 _OPTIONAL = (
@@ -140,11 +144,14 @@ def _from_dict(values: Any) -> Camera:
     missing = [key for key in _REQUIRED if key not in values]
     if not isinstance(values.get("calibrated", {}), dict):
         raise ValueError("calibrated is no table")
-    unknown = [key for key in values if key not in (*_REQUIRED, *_OPTIONAL)]
-    if missing or unknown:
-        raise ValueError(
-            f"missing {', '.join(missing)}" if missing else f"unknown key {', '.join(unknown)}"
-        )
+    known = (*_REQUIRED, *_OPTIONAL)
+    unknown = [key for key in values if key not in known]
+    if missing:
+        raise ValueError(f"missing {', '.join(missing)}")
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], known, n=1)
+        hint = f", did you mean {near[0]}?" if near else ""
+        raise ValueError(f"unknown key {', '.join(unknown)}{hint}")
     fx_px, fy_px, cx_px, cy_px = (_number(values[key], key) for key in _NUMBERS)
     roll, pitch, yaw = (math.radians(a) for a in _numbers(values, "mount_rpy_deg", (0.0,) * 3))
     return Camera(
@@ -168,13 +175,20 @@ def _sigmas(calibrated: dict[str, Any], fx_px: float) -> dict[str, float]:
     if "sigma_mount_rpy_deg" in calibrated:
         roll, pitch, _ = _numbers(calibrated, "sigma_mount_rpy_deg", (0.0,) * 3)
         sigmas["sigma_mount_rad"] = math.radians(max(roll, pitch))
-    focal_px = [
-        scale * _number(calibrated[key], key)
-        for key, scale in (("sigma_fx_px", 1.0), ("sigma_focal_ratio", fx_px))
+    told = {
+        key: _number(calibrated[key], key)
+        for key in ("sigma_fx_px", "sigma_focal_ratio")
         if key in calibrated
-    ]
-    if focal_px:
-        sigmas["sigma_focal_ratio"] = max(min(focal_px) / fx_px, _LEAST_FOCAL_RATIO)
+    }
+    for key, sigma in told.items():
+        if sigma < 0.0:
+            raise ValueError(f"{key} is {sigma:g}, expected 0 or more")
+    if told and fx_px > 0.0:  # else no camera
+        ratios = (
+            told.get("sigma_fx_px", math.inf) / fx_px,
+            told.get("sigma_focal_ratio", math.inf),
+        )
+        sigmas["sigma_focal_ratio"] = max(min(ratios), _LEAST_FOCAL_RATIO)
     return sigmas
 
 
@@ -294,11 +308,26 @@ def _pixels(value: Any, key: str) -> int:
 
 
 def _check_plausible(camera: Camera) -> None:
-    cx_px, cy_px = camera.K[0, 2], camera.K[1, 2]
+    fx_px, fy_px, cx_px, cy_px = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+    longer_px = max(camera.width_px, camera.height_px)
+    ratios = (fx_px / longer_px, fy_px / longer_px)
+    if not (_FOCAL_RATIOS[0] <= min(ratios) and max(ratios) <= _FOCAL_RATIOS[1]):
+        raise ValueError(
+            f"focal lengths of {fx_px:g} and {fy_px:g} px in a picture of {longer_px} px, which no "
+            "lens has: are they in pixels of this picture?"
+        )
+    if max(ratios) > _MOST_ASPECT * min(ratios):
+        raise ValueError(f"fx_px of {fx_px:g} and fy_px of {fy_px:g}: no pixel is so long")
     if not (0.0 <= cx_px < camera.width_px and 0.0 <= cy_px < camera.height_px):
         raise ValueError(
             f"the principal point {cx_px:g}, {cy_px:g} lies outside the picture of "
             f"{camera.width_px} x {camera.height_px} px"
+        )
+    low, high = _MIDDLE
+    if not (low <= cx_px / camera.width_px <= high and low <= cy_px / camera.height_px <= high):
+        raise ValueError(
+            f"the principal point {cx_px:g}, {cy_px:g} lies far from the middle of "
+            f"{camera.width_px} x {camera.height_px} px: is it of pictures of another size?"
         )
 
 
