@@ -99,19 +99,11 @@ def main() -> None:
         print(f"vwnav: {_one_line(wrong)}", file=sys.stderr)
         sys.exit(_exit_code(wrong))
     except KeyboardInterrupt:
-        _say_interrupted()
+        print("vwnav: interrupted", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
-    except SystemExit as ended:
-        if ended.code == EXIT_INTERRUPTED:  # typer's own, without a word
-            _say_interrupted()
-        raise
     except OSError as error:
         _complain(error)
         sys.exit(EXIT_FAILED)
-
-
-def _say_interrupted() -> None:
-    print("vwnav: interrupted", file=sys.stderr)
 
 
 def _one_line(wrong: VwnavError) -> str:
@@ -136,6 +128,10 @@ def _exit_code(wrong: VwnavError) -> int:
 def _run() -> None:
     try:
         app()
+    except SystemExit as ended:
+        if ended.code == EXIT_INTERRUPTED:  # what typer makes of Ctrl-C, without a word
+            raise KeyboardInterrupt from ended
+        raise
     finally:
         _flush()  # while it can be said that standard output does not take it
 

@@ -124,14 +124,7 @@ def explain(error: ValidationError) -> str:
     fault = error.errors()[0]
     where = [str(part) for part in fault["loc"]]
     if fault["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
-        near = difflib.get_close_matches(where[-1], _known_names(where[:-1]), n=1)
-        if not near:  # of another table, perhaps, whose line is missing above it
-            elsewhere = {
-                name: f"{t}.{name}" for t in Config.model_fields for name in _known_names([t])
-            }
-            near = [
-                elsewhere[name] for name in difflib.get_close_matches(where[-1], elsewhere, n=1)
-            ]
+        near = _near(where)
         hint = f", did you mean {near[0]!r}?" if near else ""
         return f"there is no setting {'.'.join(where)!r}{hint}"
     if fault["type"] == "dataclass_type":
@@ -141,6 +134,17 @@ def explain(error: ValidationError) -> str:
     if fault["type"] == "value_error":
         return f"{'.'.join(where)}.{fault['ctx']['error']}"
     return f"{'.'.join(where)} = {in_short(fault['input'])}: {fault['msg'].lower()}"
+
+
+def _near(where: list[str]) -> list[str]:
+    """The setting that is spelt most like one that there is not: of its table, else of another."""
+    near = difflib.get_close_matches(where[-1], _known_names(where[:-1]), n=1)
+    if near:
+        return near
+    elsewhere = {
+        name: f"{table}.{name}" for table in Config.model_fields for name in _known_names([table])
+    }
+    return [elsewhere[name] for name in difflib.get_close_matches(where[-1], elsewhere, n=1)]
 
 
 def _known_names(table: list[str]) -> list[str]:

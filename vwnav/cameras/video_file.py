@@ -56,9 +56,7 @@ class VideoFile:
         self._fps = self._video.get(cv2.CAP_PROP_FPS) or 30.0
         self._expected = int(self._video.get(cv2.CAP_PROP_FRAME_COUNT))
         if is_bare_stream(path):
-            _log.warning("%s holds no times, and is taken as %g pictures a second; if that is not "
-                         "so: `ffmpeg -r RATE -i %s -c copy other.mp4`",
-                         path, self._fps, path.name)  # fmt: skip
+            self._say_its_rate()
         self._index, self._goes_on = 0, False  # after damage
         self._last_t_s = -1.0
         self._ahead: deque[Frame] = deque()
@@ -83,6 +81,11 @@ class VideoFile:
     def close(self) -> None:
         """Close the file."""
         self._video.release()
+
+    def _say_its_rate(self) -> None:
+        _log.warning("%s holds no times, and is taken as %g pictures a second; if that is not so: "
+                     "`ffmpeg -r RATE -i %s -c copy other.mp4`",
+                     self._path, self._fps, self._path.name)  # fmt: skip
 
     def _read(self) -> Frame | None:
         now, self._coming = self._coming, None

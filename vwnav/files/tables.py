@@ -37,18 +37,14 @@ def named_rows(
 ) -> tuple[list[str], Iterator[tuple[int, dict[str, str]]]]:
     """The columns that a table's first row names, and the others: line, and cells by column.
 
-    A cell that a short row lacks is empty; those beyond the last column are left out. Arguments are
-    those of `numbered_rows`.
-
-    Raises:
-        VwnavError: an `error`; as `numbered_rows`, or two columns have one name: which of them
-            counts nobody knows.
+    A cell that a short row lacks is empty; those beyond the last column are left out. Arguments and
+    errors are those of `numbered_rows`, and two columns of one name: nobody knows which one counts.
     """
     rows = numbered_rows(lines, path, error)
     _, columns = next(rows, (0, []))
-    twice = [name for name, count in Counter(columns).items() if name and count > 1]
-    if twice:
-        raise error(f"{path}: has two columns {twice[0]}; leave out the wrong one")
+    twice = next((name for name, count in Counter(columns).items() if name and count > 1), None)
+    if twice is not None:
+        raise error(f"{path}: has two columns {twice}; leave out the wrong one")
     named = (
         (line, dict(zip_longest(columns, cells[: len(columns)], fillvalue="")))
         for line, cells in rows

@@ -175,21 +175,21 @@ def _sigmas(calibrated: dict[str, Any], fx_px: float) -> dict[str, float]:
     if "sigma_mount_rpy_deg" in calibrated:
         roll, pitch, _ = _numbers(calibrated, "sigma_mount_rpy_deg", (0.0,) * 3)
         sigmas["sigma_mount_rad"] = math.radians(max(roll, pitch))
-    told = {
-        key: _number(calibrated[key], key)
-        for key in ("sigma_fx_px", "sigma_focal_ratio")
-        if key in calibrated
-    }
+    focal = _focal_sigma_ratio(calibrated, fx_px)
+    return sigmas if focal is None else sigmas | {"sigma_focal_ratio": focal}
+
+
+def _focal_sigma_ratio(calibrated: dict[str, Any], fx_px: float) -> float | None:
+    """One sigma of the focal length, relative; None where it was not told."""
+    keys = [key for key in ("sigma_fx_px", "sigma_focal_ratio") if key in calibrated]
+    told = {key: _number(calibrated[key], key) for key in keys}
     for key, sigma in told.items():
         if sigma < 0.0:
             raise ValueError(f"{key} is {sigma:g}, expected 0 or more")
-    if told and fx_px > 0.0:  # else no camera
-        ratios = (
-            told.get("sigma_fx_px", math.inf) / fx_px,
-            told.get("sigma_focal_ratio", math.inf),
-        )
-        sigmas["sigma_focal_ratio"] = max(min(ratios), _LEAST_FOCAL_RATIO)
-    return sigmas
+    if not told or fx_px <= 0.0:  # which is no camera
+        return None
+    in_px = told.get("sigma_fx_px", math.inf)
+    return max(min(in_px / fx_px, told.get("sigma_focal_ratio", math.inf)), _LEAST_FOCAL_RATIO)
 
 
 def _to_dict(camera: Camera) -> dict[str, Any]:
@@ -308,7 +308,22 @@ def _pixels(value: Any, key: str) -> int:
 
 
 def _check_plausible(camera: Camera) -> None:
-    fx_px, fy_px, cx_px, cy_px = camera.K[0, 0], camera.K[1, 1], camera.K[0, 2], camera.K[1, 2]
+    _check_focal_lengths(camera)
+    shares = camera.K[0, 2] / camera.width_px, camera.K[1, 2] / camera.height_px
+    if min(shares) < 0.0 or max(shares) >= 1.0:
+        where = "outside the picture of"
+    elif min(shares) < _MIDDLE[0] or max(shares) > _MIDDLE[1]:
+        where = "far from the middle of one (is it of pictures of another size?) of"
+    else:
+        return
+    raise ValueError(
+        f"the principal point {camera.K[0, 2]:g}, {camera.K[1, 2]:g} lies {where} "
+        f"{camera.width_px} x {camera.height_px} px"
+    )
+
+
+def _check_focal_lengths(camera: Camera) -> None:
+    fx_px, fy_px = camera.K[0, 0], camera.K[1, 1]
     longer_px = max(camera.width_px, camera.height_px)
     ratios = (fx_px / longer_px, fy_px / longer_px)
     if not (_FOCAL_RATIOS[0] <= min(ratios) and max(ratios) <= _FOCAL_RATIOS[1]):
@@ -318,17 +333,6 @@ def _check_plausible(camera: Camera) -> None:
         )
     if max(ratios) > _MOST_ASPECT * min(ratios):
         raise ValueError(f"fx_px of {fx_px:g} and fy_px of {fy_px:g}: no pixel is so long")
-    if not (0.0 <= cx_px < camera.width_px and 0.0 <= cy_px < camera.height_px):
-        raise ValueError(
-            f"the principal point {cx_px:g}, {cy_px:g} lies outside the picture of "
-            f"{camera.width_px} x {camera.height_px} px"
-        )
-    low, high = _MIDDLE
-    if not (low <= cx_px / camera.width_px <= high and low <= cy_px / camera.height_px <= high):
-        raise ValueError(
-            f"the principal point {cx_px:g}, {cy_px:g} lies far from the middle of "
-            f"{camera.width_px} x {camera.height_px} px: is it of pictures of another size?"
-        )
 
 
 def _one_line(error: BaseException) -> str:
