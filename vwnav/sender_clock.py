@@ -22,6 +22,7 @@ _FRESH_S = 0.3  # stamps and an answer that came together speak of the same cloc
 _FRESH_STAMPS = 15
 _WAITED_S = 0.05  # of a question, beyond twice the least of the last few
 _SLOWER_STAMPS_S = 0.02  # by so much stamps may be slower than answers, at their best
+_TURN_S = 2**32 / 1e3  # MAVLink counts milliseconds in 32 bits, microseconds in 64
 
 Point = tuple[float, float]  # time on the sender's clock, how much later it is on ours
 
@@ -58,6 +59,16 @@ class SenderClock:
     def round_trip_s(self) -> float | None:
         """The longest of the last few questions with their answers; None before the first."""
         return max(self._spent_s, default=None)
+
+    def near(self, stamp_s: float) -> float:
+        """The same moment by the count that this clock goes by, where another one is turns off it.
+
+        A count of milliseconds begins again after 49.7 days, one of microseconds goes on.
+        """
+        if not self._stamps:
+            return stamp_s
+        counted_s = stamp_s + round((self._newest_stamp_s - stamp_s) / _TURN_S) * _TURN_S
+        return counted_s if abs(counted_s - self._newest_stamp_s) < _WINDOW_S else stamp_s
 
     def handle_stamp(self, stamp_s: float, received_s: float) -> bool:
         """Learn from a message stamped at `stamp_s`; False when that is no time of this clock."""

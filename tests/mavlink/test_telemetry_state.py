@@ -13,7 +13,7 @@ from vwnav.mavlink.modes import AutopilotKind
 from vwnav.mavlink.telemetry.telemetry_state import TelemetryState
 from vwnav.safety.conditions import PilotWatch
 from vwnav.safety.safety_config import SafetyConfig
-from vwnav.types import ImuSample, Range
+from vwnav.types import Attitude, ImuSample, Range
 from vwnav.vehicle import FlightMode, VehicleState
 
 MAV = mavlink.MAVLink(None)
@@ -382,3 +382,24 @@ def test_a_range_is_dated_by_its_own_stamp_however_late_it_comes():
     ranges = [each for each in telemetry.take_measurements() if isinstance(each, Range)]
     assert [each.distance_m for each in ranges] == [12.0]
     assert ranges[0].t_s == pytest.approx(100.7, abs=0.01)
+
+
+@pytest.mark.parametrize("up_for_s", [4294967.296 - 1.0, 5e6, 9e6, 100.0])
+def test_an_autopilot_that_has_run_for_weeks_is_dated_by_both_of_its_counts(up_for_s):
+    """One that waits in its dock: milliseconds, in 32 bits, have begun again."""
+    telemetry = TelemetryState()
+    beat(telemetry, 0, 100.0)
+    names = ("roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed")
+    felt = dict.fromkeys(("xacc", "yacc", "xgyro", "ygyro", "zgyro", "abs_pressure"), 0.0)
+    for i in range(150):
+        now_s, boot_s = 100.0 + 0.02 * i, up_for_s + 0.02 * i
+        stamp = {"time_boot_ms": round(1e3 * boot_s) % 2**32}
+        telemetry.handle("ATTITUDE", dict.fromkeys(names, 0.0) | stamp, now_s)
+        stamp = {"time_usec": round(1e6 * boot_s)}
+        telemetry.handle("HIGHRES_IMU", felt | stamp | {"zacc": -9.8}, now_s)
+    taken = telemetry.take_measurements()
+    expected_s = [100.0 + 0.02 * i for i in range(150)]
+    for kind in (Attitude, ImuSample):
+        dated_s = [each.t_s for each in taken if isinstance(each, kind)]
+        assert dated_s == pytest.approx(expected_s, abs=0.002)
+    assert telemetry.clock.restarts == 0

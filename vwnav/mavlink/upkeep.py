@@ -61,7 +61,8 @@ class Timesync:
             self._send("TIMESYNC", {"tc1": int(received_s * 1e9), "ts1": fields["ts1"]})
         elif fields["ts1"] in self._asked_ns:  # others ask too, and their answers come by here
             self._asked_ns.remove(fields["ts1"])
-            self._boot_clock.handle_round_trip(fields["ts1"] / 1e9, fields["tc1"] / 1e9, received_s)
+            answered_s = self._boot_clock.near(fields["tc1"] / 1e9)
+            self._boot_clock.handle_round_trip(fields["ts1"] / 1e9, answered_s, received_s)
 
 
 @dataclass(slots=True)

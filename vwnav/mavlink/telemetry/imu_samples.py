@@ -56,12 +56,13 @@ class ImuSamples:
     def _sample(
         self, t_us: int, values: Any, clock: SenderClock, received_s: float
     ) -> ImuSample | None:
-        t_s = clock.to_monotonic(t_us / 1e6)
+        boot_s = clock.near(t_us / 1e6)
+        t_s = clock.to_monotonic(boot_s)
         if t_s is None or not received_s - OLDEST_S < t_s < received_s + CLOCK_ERROR_S:
             return None
         if not np.isfinite(values).all():
             return None
-        clock.handle_stamp(t_us / 1e6, received_s)
+        clock.handle_stamp(boot_s, received_s)
         started_anew = t_us < self._newest_us - _GAP_S * 1e6
         if not started_anew and (t_us <= self._newest_us or t_s <= self._newest_s):
             return None  # a duplicate, or overtaken by a newer one on its way

@@ -219,7 +219,7 @@ class TelemetryState:
             self.modes.handle_current_mode(self.kind, fields, received_s)
 
     def _handle_attitude(self, fields: Fields, received_s: float) -> None:
-        boot_s = fields["time_boot_ms"] / 1e3
+        boot_s = self.clock.near(fields["time_boot_ms"] / 1e3)
         restarts = self.clock.restarts
         if not self.clock.handle_stamp(boot_s, received_s):
             return
@@ -294,7 +294,7 @@ class TelemetryState:
 
     def _dated(self, boot_s: float, received_s: float) -> float | None:
         """On our clock, by the autopilot's own; None where that cannot be."""
-        t_s = self.clock.to_monotonic(boot_s)
+        t_s = self.clock.to_monotonic(self.clock.near(boot_s))
         if t_s is None or not received_s - OLDEST_S < t_s < received_s + CLOCK_ERROR_S:
             return None
         return t_s
