@@ -1089,6 +1089,22 @@ def test_losing_all_fixes_on_the_route_holds_then_comes_home():
     assert np.hypot(*scene.vehicle.position[:2]) < 5.0
 
 
+@pytest.mark.parametrize(("ends", "farthest_m"), [(False, 130.0), (True, 90.0)])
+def test_who_is_carried_off_by_a_gale_is_landed_and_not_where_it_ends(ends, farthest_m):
+    """It flew home at its best, backwards, for as long as the battery lasted: 738 m in 80 s."""
+
+    def blows(scene: Scene) -> bool:
+        is_calm = ends and scene.flight.phase is not Phase.ROUTE
+        if scene.vehicle.vehicle.mode is FlightMode.OFFBOARD and not is_calm:
+            scene.vehicle.position[1] -= 14.0 * DT_S
+        return False
+
+    scene = on_route().run(blows)
+    assert not scene.vehicle.vehicle.armed
+    assert any("carried off" in each for each in scene.said) is not ends
+    assert scene.farthest_m < farthest_m
+
+
 def test_an_abort_lands_where_it_is():
     scene = on_route()
     scene.flight.abort("interrupted by the operator")

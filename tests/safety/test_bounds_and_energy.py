@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from test_recovery import ESTIMATE
 from vehicles import FLYING
 
-from vwnav.safety.bounds import RouteBounds
+from vwnav.safety.bounds import CarriedOff, RouteBounds
 from vwnav.safety.energy import EnergyWatch
 from vwnav.safety.safety_config import SafetyConfig
 
@@ -141,3 +141,18 @@ def test_a_fresh_battery_begins_anew():
     assert not watch.step(used, away(800.0), 79.0)  # 29 s since it was full
     assert watch.step(used, away(8000.0), 81.0)
     assert math.isfinite(watch.home_s(away(0.0), straight(away(0.0))))
+
+
+def test_who_is_carried_off_is_told_from_who_flies_home_whichever_way():
+    """Straight home across a wide route he leaves its legs behind, by the flown way home first."""
+    across, by_the_route = [(100.0, 400.0), (190.0, 300.0), (120.0, 100.0)], [(150.0, 400.0),
+        (90.0, 450.0), (70.0, 600.0)]  # fmt: skip
+    for way in (across, by_the_route):
+        drift = CarriedOff(60.0)
+        assert max(drift.step(*each) for each in way) == 0.0
+    drift = CarriedOff(60.0)
+    assert [drift.step(*each) for each in ((65.0, 90.0), (100.0, 120.0), (150.0, 170.0))] == [
+        0.0, 30.0, 80.0,
+    ]  # fmt: skip
+    assert drift.step(50.0, 80.0) == 0.0
+    assert drift.step(150.0, 170.0) == 0.0

@@ -145,6 +145,12 @@ def _off_the_route(now: Situation, config: SafetyConfig) -> str | None:
     return f"{now.off_route_m:.0f} m off the route" if beyond else None
 
 
+def _carried_off(now: Situation, config: SafetyConfig) -> str | None:
+    """By a wind that it does not make way against, as a rule: lower down there is less."""
+    carried = now.carried_off_m > config.fence_m
+    return f"carried off, {now.off_route_m:.0f} m from the route by now" if carried else None
+
+
 def _nowhere(now: Situation, config: SafetyConfig) -> str | None:
     return None if now.is_usable else _bad_for(now, config.hold_time_s)
 
@@ -222,6 +228,11 @@ TABLE = (
         "takes in the wind; the pilot's radio, once heard, lost for {radio_return_s:g} s; the "
         "ground station likewise for {ground_return_s:g} s",
         Action.RETURN, _way_home, stays=True,
+    ),
+    SafetyRule(
+        Rank.POSITION, "off the route (next row), and carried off by {fence_m:g} m more, from home "
+        "too",
+        Action.LAND, _carried_off, stays=True,
     ),
     SafetyRule(
         Rank.POSITION, "{fence_m:g} m off the route and the way home", Action.RETURN,

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-from vwnav.safety.bounds import RouteBounds
+from vwnav.safety.bounds import CarriedOff, RouteBounds
 from vwnav.safety.conditions import BatteryWatch, LinkWatch, LossWatch, PilotWatch, PositionWatch
 from vwnav.safety.energy import EnergyWatch
 from vwnav.safety.hierarchy import Action, Decision, Hierarchy, Rank
@@ -41,6 +41,7 @@ class SafetyMonitor:
         self._energy = EnergyWatch(config, cruise_m_s)
         self._begin_watching()
         self._bounds: RouteBounds | None = None
+        self._carried_off = CarriedOff(config.fence_m)
         self._order: Order | None = None
         self._is_new_order = self._ends_pause = False
         self._lands = self._is_asked_back = False
@@ -142,9 +143,13 @@ class SafetyMonitor:
     def _situation(self, navigation: Navigation, vehicle: VehicleState, t_s: float) -> Situation:
         position = self._position
         estimate, bounds = navigation.estimate, self._bounds
-        home_only, off_route_m = False, 0.0
+        home_only, off_route_m, carried_off_m = False, 0.0, 0.0
+        if self._pilot.released is not None or self._pilot.failsafe is not None:
+            self._carried_off.forget()
         if estimate is not None and bounds is not None:
-            off_route_m = bounds.off_route_m(estimate.position_ned_m)
+            here_ned_m = estimate.position_ned_m
+            off_route_m = bounds.off_route_m(here_ned_m)
+            carried_off_m = self._carried_off.step(off_route_m, bounds.off_home_m(here_ned_m))
             home_only = self._energy.step(vehicle, estimate, t_s)
         return Situation(
             released=self._pilot.released,
@@ -167,6 +172,7 @@ class SafetyMonitor:
             complaint=position.reason,
             warning=position.warning,
             off_route_m=off_route_m,
+            carried_off_m=carried_off_m,
             order=self._order,
         )
 

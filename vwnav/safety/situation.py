@@ -35,6 +35,7 @@ class Situation:
         bad_s, complaint: for how long the position has been out of bounds, and how.
         warning: how it is poor; empty when it is not.
         off_route_m: horizontally from the nearest of route and way home.
+        carried_off_m: beyond the fence, and so much farther from route and home than it was there.
         order: the ground station's last.
     """
 
@@ -58,4 +59,5 @@ class Situation:
     complaint: str = ""
     warning: str = ""
     off_route_m: float = 0.0
+    carried_off_m: float = 0.0
     order: Order | None = None
