@@ -1,8 +1,7 @@
 """The values that travel between rooms, and the protocols at the seams.
 
-Everything is SI and radians unless a name says otherwise; `docs/conventions.md` holds the table.
-Times `t_s` are seconds on one monotonic clock, at exposure for images. NaN never means "unknown":
-unknown values are None.
+SI and radians unless a name says otherwise; `docs/conventions.md` holds the table. Times `t_s` are
+seconds on one monotonic clock, at exposure for images. NaN never means "unknown": that is None.
 """
 
 from dataclasses import dataclass, field
@@ -107,6 +106,7 @@ class RejectReason(Enum):
     FEW_MATCHES = "too few matches"
     FEW_INLIERS = "too few inliers"
     AMBIGUOUS = "a second place fits as well"
+    MIRRORED = "left and right are exchanged in the picture"
     GEOMETRY = "the homography is not that of level ground"
     PRIOR = "too far from the prior"
     UNCONFIRMED = "no second picture agrees yet"

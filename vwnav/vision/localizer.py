@@ -53,7 +53,7 @@ from vwnav.vision.registration import (
     may_be_chance,
     register,
 )
-from vwnav.vision.rivals import best_apart, best_of, elsewhere_turned
+from vwnav.vision.rivals import NO_OTHER, best_apart, best_of, elsewhere_turned, fits_mirrored
 
 CUT_MULTIPLE_PX = 32  # the models work on whole multiples
 WORTH_LOG10_NFA = -4.0  # less is never believed alone
@@ -62,8 +62,8 @@ WEAKEST_DECADES = 1.0  # with that: less says nothing of several images
 WORTH_COARSE_LOG10_NFA = -0.5  # chance agreements, all candidates counted, that are worth refining
 SURE_DECADES = 10.0  # so little chance that the rest need not be searched
 # Of such an image nothing is kept: all of it looks alike, or the best may not have been seen.
-SAID_NOTHING_OF = (RejectReason.AMBIGUOUS, RejectReason.GIVEN_UP)
-SETTLED = (RejectReason.AMBIGUOUS, RejectReason.GEOMETRY, RejectReason.PRIOR)  # of a place found
+SAID_NOTHING_OF = (*NO_OTHER, RejectReason.GIVEN_UP)
+SETTLED = (*NO_OTHER, RejectReason.GEOMETRY, RejectReason.PRIOR)  # of a place found
 HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
 
 
@@ -303,6 +303,8 @@ class Localizer:
             refusal = None
         if refusal is None and query.heading_open:
             refusal = fits_turned(query, found, partial(self._register, query))
+        if refusal is None and not query.attitude_known:
+            refusal = fits_mirrored(query, found, self._register)
         if not chance:
             return refusal or found
         if refusal is None:

@@ -1,9 +1,11 @@
 """The query: one image that is to be registered, its rectified views and their features."""
 
+import copy
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Self
 
 import cv2
 import numpy as np
@@ -142,6 +144,13 @@ class Query:
         self.piece: tuple[int, Window, MapFeatures] | None = None
         self.weak: list[WeakFix] = []
         self.ms = {"rectify_ms": 1e3 * (clock() - start)}
+
+    def mirrored(self) -> Self:
+        """The query of the image with left and right exchanged; its times count to this one's."""
+        other, (gray, _) = copy.copy(self), self.image.at_scale(1.0)
+        other.image = Taken(np.ascontiguousarray(gray[:, ::-1]), self.image.K)
+        other.views, other.weak = {}, []
+        return other
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
