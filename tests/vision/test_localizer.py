@@ -210,6 +210,17 @@ def test_a_hopeless_prior_is_refused_with_its_reason(pack, ground, orb, known, r
     assert outcome.detail
 
 
+def test_a_lens_told_far_too_wide_is_named_where_a_level_camera_sees_too_far_aside(
+    pack, ground, orb
+):
+    """140 degrees of a fisheye given as --hfov-deg: the camera was said not to look down."""
+    frame = frame_at(ground, 0.0, 0.0, AGL_M)
+    camera = Camera.from_hfov(CAMERA.width_px, CAMERA.height_px, 140.0)
+    outcome = Localizer(pack, orb, camera).localize(frame, prior_at(0.0, 0.0), 0)
+    assert outcome.reason is RejectReason.TILTED
+    assert "fisheye" in outcome.detail
+
+
 @pytest.mark.parametrize(
     ("agl_m", "ratio", "true_m"), [(40.0, 0.5, 70.0), (12.0, 4.0, 45.0), (2.2, 13.6, 60.0)]
 )

@@ -64,6 +64,7 @@ SURE_DECADES = 10.0  # so little chance that the rest need not be searched
 # Of such an image nothing is kept: all of it looks alike, or the best may not have been seen.
 SAID_NOTHING_OF = (*NO_OTHER, RejectReason.GIVEN_UP)
 SETTLED = (*NO_OTHER, RejectReason.GEOMETRY, RejectReason.PRIOR)  # of a place found
+ASIDE = "most of the picture lies over 60 degrees aside: is the mount as told, the lens no fisheye?"
 HOPELESS = (RejectReason.NO_MAP, RejectReason.TILTED, RejectReason.TOO_LOW)
 
 
@@ -237,7 +238,7 @@ class Localizer:
         hypothesis, zoom = candidate.hypothesis, candidate.level.zoom
         made = query.rectify(hypothesis.yaw_rad, hypothesis.agl_m, candidate.m_per_px)
         if made is None:
-            return query.rejected(RejectReason.TILTED, "the camera does not look down")
+            return query.rejected(RejectReason.TILTED, ASIDE)
         if candidate.thrifty:
             made = cut_to_image(made, query.image.size_wh, CUT_MULTIPLE_PX)
         window, side_px = candidate.window(made), max(made.size_wh)
