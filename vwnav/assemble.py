@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -103,11 +102,10 @@ def assemble(
     executor: Executor,
     say: Callable[[str], None],
     make_ekf: Callable[[EkfConfig, Ground | None], Ekf] = Ekf,
-    lock: AbstractContextManager[object] | None = None,
 ) -> Assembled:
     """Build the pipeline of extractors as `choose_features` gives them.
 
-    `make_ekf` lets the benchmark listen to the filter; `lock` is the pipeline's around it.
+    `make_ekf` lets the benchmark listen to the filter.
 
     Raises:
         ModelError: the pack's features were made by another model.
@@ -137,7 +135,7 @@ def assemble(
     ekf.on_event(say)
     pipeline = Pipeline(
         *of_camera(camera), ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,
-        executor, bool(camera.readout_s), None if alone else recalibrated, lock,
+        executor, bool(camera.readout_s), None if alone else recalibrated,
     )  # fmt: skip
     return Assembled(pipeline, ekf, pack, primary)
 

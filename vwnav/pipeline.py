@@ -11,7 +11,6 @@ import math
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager
 from dataclasses import replace
 
 import numpy as np
@@ -62,7 +61,8 @@ class Pipeline:
     """From images and measurements to the estimate of position, velocity and heading.
 
     `feed` and `estimate` may be called from other threads at any time; `step` from one only.
-    Python runs one thread at a time: a step waits where the link takes its turn (`link_rests`).
+    Python runs one thread at a time: a step waits where the link takes its turn (`link_rests` is
+    clear then). Without that estimates were late by half a second on a slow board.
     """
 
     def __init__(
@@ -76,7 +76,6 @@ class Pipeline:
         executor: Executor,
         rolling: bool = False,
         recalibrated: Callable[[FoundCamera], tuple[FeatureChoice, Tracking]] | None = None,
-        lock: AbstractContextManager[object] | None = None,
     ) -> None:
         """Put the parts together.
 
@@ -89,13 +88,13 @@ class Pipeline:
             config: rates and limits.
             executor: runs the matching: in a thread on board, inline in replay.
             rolling: the camera's rows are exposed one after the other.
-            recalibrated: makes them anew for a camera that is not as told; None: no telemetry.
-            lock: around the filter: a flight's is `Undisturbed`.
+            recalibrated: makes features and odometry anew for a camera that is not as it was
+                told; None where no telemetry could tell of that.
         """
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
         self._config, self._executor, self._rolling = config, executor, rolling
-        self._lock, self.link_rests = lock or threading.Lock(), threading.Event()
+        self._lock, self.link_rests = threading.Lock(), threading.Event()
         self.link_rests.set()
         self._pending: Attempt | None = None
         self._next_attempt_s, self._misses = -np.inf, 0  # attempts since the last fix
@@ -138,7 +137,8 @@ class Pipeline:
     def covers(self, t_s: float) -> bool:
         """Whether telemetry has reached an exposure: waiting tells no more of the attitude there.
 
-        Wait no longer than `ATTITUDE_WAIT_S`: an image without has an earlier attitude, or none.
+        An image handed to `step` before that has an attitude carried on from before it, or none.
+        Wait no longer than `ATTITUDE_WAIT_S` after the exposure.
         """
         with self._lock:
             return self._ekf.covers(t_s)

@@ -3,15 +3,12 @@
 import os
 import subprocess
 import sys
-import threading
-import time
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 import pytest
 from link_peer import free_port
 
-from vwnav.machine.priority import NICER, Undisturbed
+from vwnav.machine.priority import NICER
 from vwnav.watchdog.launch import start_watchdog
 
 SESSION = "/proc/self/autogroup"
@@ -75,43 +72,3 @@ def test_the_watchdog_goes_before_who_started_it(tmp_path: Path):
     with start_watchdog(f"udpin://127.0.0.1:{free_port()}", tmp_path / "log") as watchdog:
         nice = os.getpriority(os.PRIO_PROCESS, watchdog.process.pid)
     assert nice == os.nice(0) + NICER < os.nice(0)
-
-
-def test_who_holds_the_filter_computes_on_while_others_wait_for_the_interpreter():
-    """Turns of half a millisecond are for those who wait for the interpreter alone."""
-    stop, counted = threading.Event(), [0]
-
-    def count() -> None:
-        while not stop.is_set():
-            counted[0] += 1
-
-    def counted_beside(lock: AbstractContextManager[object]) -> int:
-        with lock:
-            before, until_s = counted[0], time.thread_time() + 0.03
-            while time.thread_time() < until_s:
-                pass
-            return counted[0] - before
-
-    usual_s, other = sys.getswitchinterval(), threading.Thread(target=count)
-    sys.setswitchinterval(0.0005)
-    other.start()
-    try:
-        beside_a_plain_lock, beside = (
-            counted_beside(threading.Lock()),
-            counted_beside(Undisturbed()),
-        )
-        assert sys.getswitchinterval() == pytest.approx(0.0005)  # again
-    finally:
-        stop.set()
-        other.join()
-        sys.setswitchinterval(usual_s)
-    assert beside < 0.3 * beside_a_plain_lock
-
-
-def test_what_is_raised_under_the_lock_leaves_it_open():
-    lock, before = Undisturbed(), sys.getswitchinterval()
-    with pytest.raises(KeyError), lock:
-        raise KeyError
-    assert sys.getswitchinterval() == before
-    with lock:
-        pass

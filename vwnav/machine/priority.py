@@ -4,11 +4,10 @@ import atexit
 import contextlib
 import os
 import sys
-import threading
 from pathlib import Path
 
 NICER = -5  # than who started it
-_TURN_S, _UNDISTURBED_S = 0.0005, 0.05
+_TURN_S = 0.0005
 _SESSION = Path("/proc/self/autogroup")
 
 
@@ -34,28 +33,6 @@ def go_first() -> bool:
         return False
     _raise_session()
     return True
-
-
-class Undisturbed:
-    """A lock whose holder computes on while other threads wait for the interpreter.
-
-    Short turns are for who waits for the interpreter alone. Who waits for this lock is not served
-    by them: on a busy machine each turn's end waits for the system to come back to a thread, and
-    what takes 50 ms under the lock took a second.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._turn_s = 0.0
-
-    def __enter__(self) -> None:
-        self._lock.acquire()
-        self._turn_s = sys.getswitchinterval()
-        sys.setswitchinterval(_UNDISTURBED_S)
-
-    def __exit__(self, *_: object) -> None:
-        sys.setswitchinterval(self._turn_s)
-        self._lock.release()
 
 
 def _raise_session() -> None:

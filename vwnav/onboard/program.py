@@ -18,7 +18,7 @@ from vwnav.errors import ConfigError, FlightError, PreflightError, VwnavError
 from vwnav.estimation.beginning.starts import Start
 from vwnav.flight import Flight
 from vwnav.machine.never_waits import stderr_that_never_waits
-from vwnav.machine.priority import Undisturbed, go_first
+from vwnav.machine.priority import go_first
 from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import HEARD_WITHIN_S, MavsdkAutopilot
 from vwnav.mission.config import FlightConfig
@@ -202,7 +202,7 @@ def _fly(
     notices = deque[str]()
     assembled = assemble(
         *plan.features, plan.pack, plan.camera, plan.local_frame,
-        plan.config, executor, notices.append, lock=Undisturbed(),
+        plan.config, executor, notices.append,
     )  # fmt: skip
     stack.callback(assembled.pipeline.give_up)
     frame = plan.local_frame

@@ -24,7 +24,7 @@ from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.inputs import learned_of
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.machine.never_waits import stderr_that_never_waits
-from vwnav.machine.priority import Undisturbed, take_short_turns
+from vwnav.machine.priority import take_short_turns
 from vwnav.machine.signals import heeding_signals
 from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot
 from vwnav.onboard.aboard import first_state, put_aboard
@@ -117,7 +117,7 @@ def stand_by(options: FlyOptions) -> None:
         notices = deque[str]()
         assembled = assemble(
             *plan.features, plan.pack, plan.camera, plan.local_frame,
-            plan.config, executor, notices.append, lock=Undisturbed(),
+            plan.config, executor, notices.append,
         )  # fmt: skip
         stack.callback(assembled.pipeline.give_up)
         renderer = draw_camera(options, plan, stack)
