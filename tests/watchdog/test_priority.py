@@ -63,6 +63,18 @@ def test_its_session_goes_before_others_while_it_lives():
     assert nice == [str(NICER), "0"], run.stderr
 
 
+@pytest.mark.usefixtures("may_go_first")
+@pytest.mark.parametrize("told", ["", "/autogroup-25 nice\n", None])
+def test_who_is_in_no_session_of_the_kernels_flies_as_it_is(told, tmp_path):
+    """Of what the system's first process started, without a session of its own, it says nothing."""
+    if told is not None:
+        (tmp_path / "autogroup").write_text(told)
+    session = (
+        f"import vwnav.machine.priority as p; p._SESSION = p.Path({str(tmp_path)!r}, 'autogroup')"
+    )
+    assert answer(before=session)[0] == "True"
+
+
 def test_without_the_right_it_flies_as_it_is():
     assert answer(before=WITHOUT_THE_RIGHT)[:2] == ["False", str(os.nice(0))]
 

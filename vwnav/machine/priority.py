@@ -36,13 +36,13 @@ def go_first() -> bool:
 
 
 def _raise_session() -> None:
-    with contextlib.suppress(OSError, ValueError):  # no such groups here
-        before = int(_SESSION.read_text().split()[-1])  # "/autogroup-25 nice 0"
-        if before > NICER:
+    with contextlib.suppress(OSError, ValueError):  # no such groups here, or it is in none
+        *_, before = _SESSION.read_text().split()  # "/autogroup-25 nice 0", or nothing
+        if int(before) > NICER:
             _SESSION.write_text(str(NICER))
             atexit.register(_leave_session, before)
 
 
-def _leave_session(nice: int) -> None:
+def _leave_session(nice: str) -> None:
     with contextlib.suppress(OSError):
-        _SESSION.write_text(str(nice))
+        _SESSION.write_text(nice)
