@@ -29,7 +29,7 @@ import vwnav
 from export import parity
 from models.extractor import Extractor
 from models.network import SIZE_MULTIPLE_PX, FeatureNetwork, NetworkConfig
-from training.data import one_line
+from training.complaint import one_line
 from training.whole import write_whole
 
 OPSET = 18

@@ -32,7 +32,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # so that `python 
 
 from export.export_onnx import ExportError, check_outputs
 from export.images import Image, read_grey, training_images
-from training.data import one_line
+from training.complaint import one_line
 from training.whole import write_whole
 
 IMAGES = 48

@@ -26,7 +26,7 @@ from export import export_onnx, parity
 from export.export_onnx import ExportError
 from export.images import Image, read_grey, training_images
 from models.extractor import Extractor
-from training.data import one_line
+from training.complaint import one_line
 from training.validate import mutual_matches
 from training.warps import centred, similarity, warp_points
 from vwnav.types import Features

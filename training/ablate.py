@@ -24,8 +24,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a s
 
 from models.network import DenseFeatures, FeatureNetwork, NetworkConfig, conv, normalise_contrast
 from training import train, validate
+from training.complaint import one_line
 from training.config import PRESETS, changed
-from training.data import OPEN_SOURCES, ROOT, Scene, data_folder, load_scenes, one_line
+from training.data import OPEN_SOURCES, ROOT, Scene, data_folder, load_scenes
 from training.journal import SCORES
 from training.photometric import PhotometricConfig
 from training.sampling import Sample, SampleConfig

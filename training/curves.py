@@ -13,7 +13,7 @@ from statistics import fmean
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a script
 
-from training.data import one_line
+from training.complaint import one_line
 from training.whole import write_whole
 
 SHOWN = {

@@ -6,10 +6,8 @@ Everything is decoded once. Training reads `train/` of the data folder and gener
 import io
 import json
 import os
-import sys
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -87,23 +85,6 @@ def data_folder(given: str = "") -> Path | None:
     """Where the data are: the argument, else VWNAV_DATA, else ../shared/data; None if absent."""
     path = Path(given or os.environ.get("VWNAV_DATA", "") or ROOT.parent / "shared" / "data")
     return path if (path / "train").is_dir() else None
-
-
-@contextmanager
-def one_line() -> Iterator[None]:
-    """What cannot be read or written ends a program with one line, and so does Ctrl-C.
-
-    Raises:
-        SystemExit: in the place of an OSError or a KeyboardInterrupt.
-    """
-    try:
-        yield
-    except OSError as error:
-        named = error.filename is not None and error.strerror is not None
-        raise SystemExit(f"{error.filename}: {error.strerror}" if named else str(error)) from error
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        raise SystemExit(130) from None
 
 
 def read(path: Path) -> Image:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a script
 
 from models.network import SIZE_MULTIPLE_PX
+from training.complaint import one_line
 from training.data import (
     ROOT,
     WEAK_PAIRS,
@@ -31,7 +32,6 @@ from training.data import (
     Terms,
     data_folder,
     has_terms,
-    one_line,
     overlapping,
     real_pairs,
     save_registration,

@@ -28,8 +28,9 @@ from models.network import (
     FeatureNetwork,
     NetworkConfig,
 )
+from training.complaint import one_line
 from training.config import load_checkpoint
-from training.data import IMAGE_SUFFIXES, data_folder, one_line
+from training.data import IMAGE_SUFFIXES, data_folder
 from training.journal import save_checkpoint
 from training.train import start_from
 

@@ -30,8 +30,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # to run it as a s
 
 from models.network import FeatureNetwork, NetworkConfig
 from training import validate
+from training.complaint import one_line
 from training.config import TrainConfig, check, load_checkpoint, parse
-from training.data import ROOT, Scene, data_folder, load_scenes, one_line
+from training.data import ROOT, Scene, data_folder, load_scenes
 from training.journal import Every, Journal, StopWatch, progress_of, save_checkpoint
 from training.objective import compute_losses
 from training.photometric import batch_augmentation
