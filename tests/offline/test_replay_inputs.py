@@ -55,7 +55,8 @@ from vwnav.vehicle import VelocitySetpoint
 
 HOME = LocalFrame(60.4, 22.5, 30.0)
 FIRST_RELEASE = Path(__file__).with_name("first_release.mcap")
-FLIGHT_TICKS = 60  # 3 s
+FLIGHT_TICKS = 60  # 3 s at least, and ...
+FLIGHT_LOOKS = 15  # ... as long as so many images take to be matched, on a busy machine
 SPEED_M_S = 5.0
 
 
@@ -91,6 +92,7 @@ class Link:
 
 @dataclass
 class Mission:
+    localizer: "Localizer"
     ticks: int = FLIGHT_TICKS
     end: FlightEnd | None = None
     phase: Phase = Phase.ROUTE
@@ -99,7 +101,7 @@ class Mission:
     def tick(self, t_s, navigation):
         self.ticks -= 1
         self.setpoint = VelocitySetpoint(SPEED_M_S, 0.0, 0.0, 0.01 * self.ticks)
-        if self.ticks == 0:
+        if self.ticks <= 0 and self.localizer.tries >= FLIGHT_LOOKS:
             self.end = FlightEnd(None)
 
 
@@ -168,13 +170,14 @@ def pack_file(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def flown(pack_file, tmp_path_factory) -> Path:
-    """The folder of a flight of three seconds, with all its threads."""
+    """The folder of a flight of three seconds or more, with all its threads."""
     folder = tmp_path_factory.mktemp("flight")
     config = Config()
     with MapPack.open(pack_file) as pack, ThreadPoolExecutor(1) as executor:
         ekf = Ekf(config.ekf, ground_of(pack, HOME))
         began_s = time.monotonic()
-        choice = FeatureChoice(Localizer(began_s), None, config.pipeline, print)
+        localizer = Localizer(began_s)
+        choice = FeatureChoice(localizer, None, config.pipeline, print)
         pipeline = Pipeline(choice, Odometry(), ekf, HOME, 0.02, config.pipeline, executor)
         assembled = Assembled(pipeline, ekf, pack, SimpleNamespace(feature_set_id="fake"))
         about = about_run(assembled, "learned", "nadir")
@@ -184,7 +187,7 @@ def flown(pack_file, tmp_path_factory) -> Path:
         ekf.initialise(
             Start(t_s=began_s, position_ned_m=above_m, agl_m=50.0, sigma_velocity_m_s=9.0)
         )
-        mission = Mission()
+        mission = Mission(localizer)
         record.follow(mission, pipeline)
         runtime = FlightRuntime(
             pipeline, mission, Link(), EstimateGuard(), SimpleNamespace(report=None),
