@@ -79,10 +79,9 @@ class SenderClock:
             self.restarts += stamp_s < self._newest_stamp_s
             self._forget()
         self._strange.clear()
-        if self._stamps:
-            self._carry_on(max(stamp_s - self._newest_stamp_s, 0.0))
+        step_s = max(stamp_s - self._newest_stamp_s, 0.0) if self._stamps else 0.0
         self._newest_stamp_s = max(self._newest_stamp_s, stamp_s)
-        self._add_stamp(stamp_s, received_s - stamp_s)
+        self._add_stamp((stamp_s, received_s - stamp_s), step_s)
         return True
 
     def handle_round_trip(self, sent_s: float, stamp_s: float, received_s: float) -> None:
@@ -104,7 +103,7 @@ class SenderClock:
         self._verdicts.append(self._agrees_with(fresh, point, spent_s))
         if self._verdicts[-1]:
             self._answers.append(point)
-            self._fit()
+        self._fit()
 
     def date(self, stamp_s: float, received_s: float) -> float | None:
         """When what is stamped so was sent, on our clock and not after it was received.
@@ -136,24 +135,30 @@ class SenderClock:
         assert expected_s is not None
         return stamp_s < self._newest_stamp_s - _REBOOT_S or expected_s > received_s + _AHEAD_S
 
-    def _carry_on(self, step_s: float) -> None:
-        """Both bounds, to a stamp that is newer by so much: what is old bounds less sharply."""
-        self._lower_s += (self._drift - _WANDER) * step_s
-        self._upper_s += (self._drift + _WANDER) * step_s
-
-    def _add_stamp(self, stamp_s: float, late_s: float) -> None:
-        point = (stamp_s, late_s)
+    def _add_stamp(self, point: Point, step_s: float) -> None:
+        """Take in a stamp; both bounds go on to one that is newer by `step_s`."""
         self._fresh.append(point)
-        _drop_before(self._answers, stamp_s - _WINDOW_S)
-        if self._stamps and self._residual_s(point) > self._upper_s + _LATE_S:
+        has_dropped = _drop_before(self._answers, point[0] - _WINDOW_S)
+        self._lower_s += self._drift * step_s
+        self._upper_s += self._drift * step_s
+        wander_s = _WANDER * step_s
+        if self._stamps and self._residual_s(point) > self._upper_s + wander_s + _LATE_S:
+            self._lower_s -= wander_s  # what is old bounds less sharply
+            self._upper_s += wander_s
             self._add_late(point)
-        else:
-            if self._late:
-                self._end_lateness()
-            if self._stamps.add(point, self._drift):
-                _drop_before(self._stamps, stamp_s - _WINDOW_S)
-                self._drift = self._stamps.trusted_slope()
+        elif self._late:
+            self._end_lateness()
+            self._add_least(point)
+        elif not self._add_least(point) and not has_dropped:
+            return  # the bounds are those of the same stamps and answers
         self._fit()
+
+    def _add_least(self, point: Point) -> bool:
+        """Whether it is the least late one of its quarter of a second."""
+        if self._stamps.add(point, self._drift):
+            _drop_before(self._stamps, point[0] - _WINDOW_S)
+            self._drift = self._stamps.trusted_slope()
+        return self._stamps[-1] is point
 
     def _add_late(self, point: Point) -> None:
         if self._late.add(point, self._drift):
@@ -234,9 +239,12 @@ class SenderClock:
         return late_s <= slipped_s + _CONTRADICTION_S and not is_slow
 
 
-def _drop_before(points: deque[Point], stamp_s: float) -> None:
+def _drop_before(points: deque[Point], stamp_s: float) -> bool:
+    """Whether there were any."""
+    count = len(points)
     while points and points[0][0] < stamp_s:
         points.popleft()
+    return len(points) < count
 
 
 def _agree(points: deque[Point]) -> bool:
