@@ -358,6 +358,28 @@ def test_without_tilt_heading_or_a_good_place_nothing_is_placed_by_correlation(
     assert isinstance(Localizer(pack, Blind(orb), CAMERA).localize(frame, prior, 0), Rejected)
 
 
+@pytest.mark.parametrize(("sigma_m", "placed"), [(3.0, True), (30.0, False)])
+def test_what_landmarks_leave_open_is_placed_by_correlation_where_its_place_is_known_well(
+    pack, ground, orb, sigma_m, placed, monkeypatch
+):
+    """From 25 m two of five pictures without a fix had been refused for landmarks alone."""
+
+    def have_their_like(pack, extractor, query, found):
+        return query.rejected(RejectReason.AMBIGUOUS, "all of it is beside it too")
+
+    monkeypatch.setattr("vwnav.vision.localizer.ambiguous", have_their_like)
+    # As where the place that was found is another's, or was found not quite to scale.
+    monkeypatch.setattr(Localizer, "_singled_out", lambda *_: False)
+    frame = frame_at(ground, 20.0, -15.0, 36.0, rng=np.random.default_rng(0))
+    prior = prior_at(24.0, -12.0, agl_m=36.0, sigma_m=sigma_m)
+    outcome = Localizer(pack, orb, CAMERA).localize(frame, prior, 0)
+    if placed:
+        assert outcome.placed_by == "correlation"
+        assert np.linalg.norm(error_ne_m(outcome, 20.0, -15.0)) < 0.4
+    else:
+        assert outcome.reason is RejectReason.AMBIGUOUS
+
+
 def test_unrelated_ground_is_not_placed_by_correlation_either(pack, orb):
     localizer = Localizer(pack, Blind(orb), CAMERA)
     for seed in range(400, 430):

@@ -157,7 +157,10 @@ class Localizer:
                 if isinstance(outcome, MapFix):
                     return outcome
                 if outcome.reason in SETTLED and not candidate.thrifty:
-                    return outcome
+                    if candidate.coarse or outcome.reason is not RejectReason.AMBIGUOUS:
+                        return outcome
+                    refusal = outcome  # landmarks have their like: edges may single one out
+                    break
                 found = outcome
             if candidate.thrifty:
                 continue
