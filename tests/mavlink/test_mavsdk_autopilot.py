@@ -1,6 +1,9 @@
 """The same driver over real MAVLink: MAVSDK on one side, a pymavlink peer on the other."""
 
 import math
+import os
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -52,6 +55,19 @@ def test_an_unknown_firmware_is_refused():
         pytest.raises(LinkError, match="neither PX4 nor ArduPilot"),
     ):
         MavsdkAutopilot(f"udpin://127.0.0.1:{port}", timeout_s=10.0)
+
+
+@pytest.mark.parametrize("missing", ["", "no/such/folder"])
+def test_a_temporary_folder_that_is_none_does_not_end_the_process(missing, tmp_path):
+    port = free_port()
+    with Peer(port):
+        program = (
+            "from vwnav.mavlink.mavsdk_autopilot import MavsdkAutopilot\n"
+            f"MavsdkAutopilot('udpin://127.0.0.1:{port}', timeout_s=10.0).close()"
+        )
+        folder = missing and str(tmp_path / missing)
+        done = subprocess.run([sys.executable, "-c", program], env=os.environ | {"TMPDIR": folder})
+    assert done.returncode == 0
 
 
 @pytest.mark.parametrize("wanted", [7, 9])

@@ -8,6 +8,7 @@ control loop would go on flying. What is sent here stops when the loop stops.
 
 import json
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -35,12 +36,21 @@ _LEVELS = {
     LogLevel.ERROR: logging.WARNING,
 }
 _ANY = (0, None)  # target of a broadcast, or of a message from before there were targets
+# Where C++ looks for a temporary folder, the first that is set; else in /tmp.
+_TEMPORARY_FOLDERS = ("TMPDIR", "TMP", "TEMP", "TEMPDIR")
 _MISTAKES = (MavlinkDirectResult.INVALID_MESSAGE, MavlinkDirectResult.INVALID_FIELD)
 
 
 def _log_line(level: LogLevel, message: str, _file: str | None, _line: int) -> bool:
     _mavsdk_log.log(_LEVELS[level], "%s", message)
     return True  # MAVSDK itself would print to stdout, which is for results
+
+
+def _forget_missing_folders() -> None:
+    """MAVSDK ends the process at the first autopilot when the temporary folder is none."""
+    for name in _TEMPORARY_FOLDERS:
+        if not os.path.isdir(os.environ.get(name, "/")):
+            _log.warning("%s is no folder: %s is not used", os.environ.pop(name), name)
 
 
 class MavlinkPort:
@@ -71,6 +81,7 @@ class MavlinkPort:
         self._link_url = link_url or url
         self._is_chosen = system_id != 0
         log_subscribe(_log_line)
+        _forget_missing_folders()
         role = (
             ComponentType.GROUND_STATION if as_ground_station else ComponentType.COMPANION_COMPUTER
         )
