@@ -224,6 +224,23 @@ def test_mission_text_may_not_know_home(write) -> None:
     assert (without.home, len(without.waypoints)) == (None, 1)
 
 
+def test_a_heading_that_a_px4_left_open_is_no_damage(write) -> None:
+    row = "2 0 3 16 0 0 0 nan 47.398 8.546 50 1"
+    route = load_route(write("r.waypoints", wpl(row)))
+    assert route.waypoints == (GlobalWaypoint(47.398, 8.546, 50.0),)
+
+
+@pytest.mark.parametrize("part", ["geoFence", "rallyPoints"])
+def test_what_a_plan_fences_in_is_said_not_to_be_kept(write, caplog, part: str) -> None:
+    bare = {"geoFence": {"circles": [], "polygons": []}, "rallyPoints": {"points": []}}
+    content = plan([item(16, IN_ORDER[0])]) | bare
+    load_route(write("bare.plan", content))
+    assert not caplog.messages
+    held = {"circles": [{"circle": {"radius": 5}}], "points": [IN_ORDER[0]]}
+    load_route(write("fenced.plan", content | {part: held}))
+    assert "not kept by vwnav" in "".join(caplog.messages)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -235,6 +252,7 @@ def test_mission_text_may_not_know_home(write) -> None:
         (wpl("1 0 3 16 0 0 0 0 147.398 8.546 50 1"), "mission item 1: latitude 147.398"),
         (wpl("1 0 10 16 0 0 0 0 47.398 8.546 50 1"), "mission item 1: altitude frame 10"),
         (wpl(*FLOWN[:4], "5 0 3 177 1 3 0 0 0 0 0 1"), "mission item 5: a jump back"),
+        (wpl(FLOWN[1], home="0 1 0 16 0 0 0 0 147.4 8.5 488 1"), "latitude 147.4"),
         (wpl(), "it holds no waypoints"),
     ],
 )
@@ -315,10 +333,15 @@ def test_thesis_text_is_north_east_height_or_latitude_longitude_height(write) ->
         ("1,2,3,99999\n", "height 99999"),
         ("1,2,3e9,50\n", "100 km"),
         (",2,3,4\n", "expected ID"),
+        ("1,47.398,8.546,50\n2,47.411,8.541,50\n", "--route-frame global"),
     ],
 )
 def test_senseless_text_is_refused_in_one_line(write, content: str, message: str) -> None:
     assert message in refused(write("route.txt", content))
+
+
+def test_a_ladder_above_one_point_is_no_route_in_degrees(write) -> None:
+    assert len(load_route(write("route.txt", "1,5.5,3,10\n2,5.5,3,40\n")).waypoints) == 2
 
 
 def test_latitude_out_of_range_in_text_is_refused(write) -> None:

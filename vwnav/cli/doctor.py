@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -17,7 +17,7 @@ from vwnav.safety.check import Check, CheckVerdict
 if TYPE_CHECKING:
     from vwnav.config import Config
     from vwnav.geometry.camera import Camera
-    from vwnav.guidance.plan_files import Route
+    from vwnav.guidance.plan_files import Route, RouteFrame
     from vwnav.safety.camera_watch import CameraSight
     from vwnav.safety.safety_config import SafetyConfig
     from vwnav.seams import FrameSource
@@ -41,6 +41,9 @@ _LINK_TAKEN = "a watchdog has that link: end its vwnav first, which flies or get
 def doctor(
     map_path: Path | None = typer.Option(None, "--map", help="Map pack to check."),
     route: Path | None = typer.Option(None, help="Route to check against the map."),
+    route_frame: Literal["local", "global"] = typer.Option(
+        "local", help="Text routes: local (north, east, height in m) or global (lat, lon, height)."
+    ),
     camera: Path | None = typer.Option(None, help="Camera calibration to check."),
     video: str | None = typer.Option(None, help="Camera to open: /dev/video0, rtsp://, a file."),
     connection: str | None = typer.Option(None, help="Autopilot link, e.g. udpin://0.0.0.0:14540."),
@@ -51,7 +54,7 @@ def doctor(
 ) -> None:
     """Check machine, model, and whatever is named: map, route, camera, autopilot.
 
-    `--features`, `--model` and `--config` are those that `fly` will be given.
+    `--features`, `--model`, `--config` and `--route-frame` are those that `fly` will be given.
     """
     from vwnav.config import load_config, with_features
 
@@ -61,7 +64,7 @@ def doctor(
     checks.append(check)
     flown: Route | None = None
     if route:
-        check, flown = _route(route)
+        check, flown = _route(route, route_frame)
         checks.append(check)
     if map_path:
         checks.append(
@@ -158,13 +161,13 @@ def _map(
     return Check("map", verdict, "; ".join(filter(None, told)))
 
 
-def _route(path: Path) -> "tuple[Check, Route | None]":
+def _route(path: Path, route_frame: "RouteFrame") -> "tuple[Check, Route | None]":
     """What is wrong with it, if anything; the route where nothing is."""
     from vwnav.geometry.geodesy import LocalFrame
     from vwnav.guidance.plan_files import DEFAULT_HEIGHT_M, load_route
 
     try:
-        route = load_route(path)
+        route = load_route(path, route_frame)
         frame = LocalFrame(*(route.home or (0.0, 0.0)), 0.0)
         route.to_ned(frame, DEFAULT_HEIGHT_M, route.home_amsl_m)  # refuses what nobody flies
     except VwnavError as error:

@@ -13,6 +13,7 @@ from vwnav.guidance.waypoints import RouteFields, read_number
 HEADER = "QGC WPL"
 _FIELDS = 12
 _FRAME, _COMMAND, _PARAMS = 2, 3, slice(4, 11)
+_NOT_FLOWN = range(4, 8)  # params before the place, a heading among them
 _AMSL_FRAME, _WAYPOINT = 0, 16
 
 
@@ -31,16 +32,22 @@ def parse(text: str) -> RouteFields:
     items = [_item(line, index) for index, line in enumerate(lines, start=2) if line.strip()]
     if not items or (items[0]["command"], items[0]["frame"]) != (_WAYPOINT, _AMSL_FRAME):
         return plan_file.route_of(items, None)
-    lat_deg, lon_deg, alt_amsl_m = items[0]["params"][4:]
-    is_known = (lat_deg, lon_deg) != (0.0, 0.0)
-    return plan_file.route_of(items[1:], (lat_deg, lon_deg, alt_amsl_m) if is_known else None)
+    place = items[0]["params"][4:]
+    return plan_file.route_of(items[1:], plan_file.home_of(place if any(place[:2]) else None))
 
 
 def _item(line: str, index: int) -> dict[str, Any]:
     try:
-        fields = [read_number(part, "a field") for part in line.split()]
+        fields = [_field(part, place) for place, part in enumerate(line.split())]
         if len(fields) != _FIELDS:
             raise RouteError(f"{len(fields)} fields, expected {_FIELDS}")
     except RouteError as error:
         raise RouteError(f"line {index}: {error}") from error
     return {"frame": fields[_FRAME], "command": fields[_COMMAND], "params": fields[_PARAMS]}
+
+
+def _field(text: str, place: int) -> float | None:
+    """A number; None for what is left open: a plan has null there, a PX4's mission nan."""
+    if place in _NOT_FLOWN and text.lower() == "nan":
+        return None
+    return read_number(text, "a field")

@@ -4,6 +4,7 @@ Format: https://docs.qgroundcontrol.com/master/en/qgc-dev-guide/file_formats/pla
 frame numbers are MAVLink's MAV_CMD and MAV_FRAME.
 """
 
+import logging
 from dataclasses import replace
 from itertools import takewhile
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 from vwnav.errors import RouteError
 from vwnav.guidance.waypoints import GlobalWaypoint, RouteFields, number
 
+_log = logging.getLogger(__name__)
 _WAYPOINT, _RETURN, _LAND, _TAKEOFF = 16, 20, 21, 22
 _WITHOUT_PLACE = (_TAKEOFF, 80, 93)  # MAV_CMD_NAV_ROI, which is looked at, and NAV_DELAY
 _FIRST_COMMAND_WITHOUT_PLACE = 112  # MAV_CMD_CONDITION_DELAY; DO commands come after it
@@ -21,6 +23,7 @@ _AMSL_FRAMES, _HOME_FRAMES = (0, 5), (3, 6)
 def parse(content: Any) -> RouteFields:
     """Waypoints of a plan, surveys included.
 
+    Its fence and its rally points are the autopilot's to keep: one that has any is warned of.
     Take-off (straight up from home), delays, conditions, camera and gimbal commands are not places
     and add none; a landing place is flown over at the height before it. With a return the mission
     ends.
@@ -34,7 +37,8 @@ def parse(content: Any) -> RouteFields:
     items = mission.get("items") if isinstance(mission, dict) else None
     if not isinstance(mission, dict) or not isinstance(items, list):
         raise RouteError("a plan without mission items")
-    home = _home(mission.get("plannedHomePosition"))
+    home = home_of(mission.get("plannedHomePosition"))
+    _tell_what_is_not_kept(content)
     return route_of(_simple_items(items), home)
 
 
@@ -64,7 +68,22 @@ def route_of(items: list[dict[str, Any]], home: tuple[float, float, float] | Non
     return RouteFields([*waypoints], home[:2] if home else None, home[2] if home else None)
 
 
-def _home(position: Any) -> tuple[float, float, float] | None:
+def _tell_what_is_not_kept(content: dict[str, Any]) -> None:
+    kinds = (("geoFence", "circles"), ("geoFence", "polygons"), ("rallyPoints", "points"))
+    parts = ((content.get(part), kind) for part, kind in kinds)
+    if any(isinstance(part, dict) and part.get(kind) for part, kind in parts):
+        _log.warning(
+            "the plan's geofence and rally points are not kept by vwnav: they are the autopilot's, "
+            "if they were uploaded to it"
+        )
+
+
+def home_of(position: Any) -> tuple[float, float, float] | None:
+    """Latitude, longitude in degrees, height above sea level in metres; None for None.
+
+    Raises:
+        RouteError: it is no place.
+    """
     if position is None:
         return None
     if not isinstance(position, list) or len(position) != 3:

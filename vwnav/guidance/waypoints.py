@@ -46,7 +46,7 @@ class LocalWaypoint:
         if not max(abs(self.north_m), abs(self.east_m)) <= MAX_OFFSET_M:
             raise RouteError(
                 f"waypoint {self.north_m:g} m north, {self.east_m:g} m east is over 100 km from "
-                "home; are these degrees? then say so (global)"
+                "home; a local route counts from there"
             )
         check_height(self.height_m)
 
