@@ -1,3 +1,6 @@
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +38,14 @@ def test_threads_do_not_change_the_result(learned):
 def test_the_released_model_says_which_set_it_makes(learned):
     assert learned.feature_set_id.startswith("vwnav-learned-")
     assert released_model().is_file()
+
+
+def test_nothing_is_kept_in_this_home_nor_sent_to_the_runtimes_maker(tmp_path: Path):
+    program = "from vwnav.vision.features.learned import LearnedFeatures; LearnedFeatures()"
+    env = {k: v for k, v in os.environ.items() if k != "ORT_DISABLE_TELEMETRY"}
+    env |= {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", program], env=env, check=True)
+    assert not list(tmp_path.iterdir())
 
 
 def test_released_weights_are_found_by_name(learned):
