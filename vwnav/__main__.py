@@ -35,6 +35,7 @@ EXIT_FLIGHT_ENDED = 4  # of a service alone: deploy/vwnav.service starts none of
 EXIT_INTERRUPTED = 130
 _LINE_BEGINS, _LINE_ENDS = 1200, 300
 _LONGEST_LINE = _LINE_BEGINS + _LINE_ENDS
+_STANDARD = range(3)  # descriptors of the standard streams
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 app = typer.Typer(
@@ -93,6 +94,7 @@ def main() -> None:
     Raises:
         OSError: it names no file, and is not that there is no room: nothing a person can mend.
     """
+    _replace_closed_streams()
     try:
         _run()
     except VwnavError as wrong:
@@ -104,6 +106,19 @@ def main() -> None:
     except OSError as error:
         _complain(error)
         sys.exit(EXIT_FAILED)
+
+
+def _replace_closed_streams() -> None:
+    """Where a stream was closed (`>&-`) the next file would get its number, and what libraries say.
+
+    Python's own is None then: what is written to it raises, and an error goes to the results.
+    """
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= _STANDARD[-1]:
+        pass
+    os.close(descriptor)
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
 
 
 def _one_line(wrong: VwnavError) -> str:
@@ -137,7 +152,7 @@ def _run() -> None:
 
 
 def _flush() -> None:
-    print(end="", flush=True)  # there may be no sys.stdout
+    print(end="", flush=True)
 
 
 def _complain(error: OSError) -> None:
@@ -147,8 +162,8 @@ def _complain(error: OSError) -> None:
     if error.errno != errno.EPIPE:
         what = error.filename or ("standard output" if _is_stuck() else "a file")
         print(f"vwnav: {what}: {error.strerror}", file=sys.stderr)
-    if sys.stdout is not None:  # what it could not take must not be tried again on the way out
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    # What it could not take must not be tried again on the way out.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _is_stuck() -> bool:

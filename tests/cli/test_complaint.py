@@ -1,5 +1,6 @@
 """A command that fails says one line, whatever it has taken of a file."""
 
+import subprocess
 import sys
 
 import pytest
@@ -45,3 +46,23 @@ def test_what_would_fill_the_terminal_is_cut(monkeypatch, capsys):
     assert line.startswith("vwnav: it has uint64_t timestamp, ")
     assert line.endswith("timestamp, ; say another\n")
     assert len(line) < 1600
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
+def test_streams_that_were_closed_before_are_nobodys_trouble(closed):
+    program = (
+        "from vwnav import __main__ as command, screen\n"
+        "command.app = lambda: screen.print_rows('faults', ('fault',), [('black',)])\n"
+        "command.main()"
+    )
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(["sh", "-c", f'exec "$@" {closed}', "sh", *command], check=False)
+    assert done.returncode == 0
+
+
+def test_a_complaint_is_never_a_result(tmp_path):
+    command = [sys.executable, "-m", "vwnav", "map", "info", str(tmp_path / "none.mbtiles")]
+    done = subprocess.run(
+        ["sh", "-c", 'exec "$@" 2>&-', "sh", *command], stdout=subprocess.PIPE, check=False
+    )
+    assert (done.returncode, done.stdout) == (1, b"")
