@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from vwnav.calibration.board import write_board
 from vwnav.calibration.from_board import calibrate_camera
 from vwnav.calibration.from_flight import MountOptions, calibrate_mount
 from vwnav.calibration.look import LookOptions, look
@@ -68,3 +69,13 @@ def test_a_picture_that_finds_no_room_leaves_no_half_of_it(tmp_path: Path, monke
     with pytest.raises(OSError, match=r"No space left on device: .*seen\.jpg"):
         look(LookOptions(str(tmp_path / "pictures"), None, 50.0, 60.0, "orb", seen))
     assert [each.name for each in tmp_path.iterdir()] == ["pictures"]
+
+
+def test_a_board_is_drawn_over_a_board_and_over_nothing_else(tmp_path):
+    board, other = tmp_path / "board.pdf", tmp_path / "thesis.pdf"
+    write_board(board, "a4")
+    assert write_board(board, "a3").square_mm == 36
+    other.write_bytes(b"%PDF-1.7 of another kind")
+    with pytest.raises(CalibrationError, match="is there already"):
+        write_board(other, "a4")
+    assert other.read_bytes() == b"%PDF-1.7 of another kind"

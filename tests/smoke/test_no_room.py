@@ -50,12 +50,13 @@ def test_a_replay_without_room_names_the_file_and_leaves_no_half(replayed, place
 
 def test_a_board_without_room_leaves_the_one_that_was_there(tmp_path):
     board = tmp_path / "board.pdf"
-    board.write_bytes(b"printed last week")
+    printed = "vwnav calibration board, printed last week".encode("utf-16-be")
+    board.write_bytes(printed)
     done = limited(1000, "calibrate", "board", "-o", board)
     assert done.code == 1
     assert "board.pdf: cannot write (File too large)" in done.complaint
     assert [each.name for each in tmp_path.iterdir()] == ["board.pdf"]
-    assert board.read_bytes() == b"printed last week"
+    assert board.read_bytes() == printed
 
 
 @pytest.mark.parametrize(

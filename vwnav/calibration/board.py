@@ -23,6 +23,7 @@ LEAST_CORNERS = 12  # of the 54: fewer hardly tell how the board lies
 _PX_PER_MM = 20
 _DPI = 25.4 * _PX_PER_MM
 _BAR_MM = 100
+_TITLE = "vwnav calibration board"  # in UTF-16 in the PDF
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +60,7 @@ class BoardView:
 
 
 def write_board(path: Path, paper: str) -> Paper:
-    """Draw the board as a PDF of one page, to scale.
+    """Draw the board as a PDF of one page, to scale; over nothing but another board.
 
     Raises:
         CalibrationError: an unknown paper, or the file cannot be written.
@@ -69,8 +70,10 @@ def write_board(path: Path, paper: str) -> Paper:
     if path.suffix.lower() != ".pdf":
         raise CalibrationError(f"{path}: the board is written as PDF; call it {path.stem}.pdf")
     sheet, drawn = PAPERS[paper], io.BytesIO()
-    _page(sheet, paper).save(drawn, "PDF", resolution=_DPI, title="vwnav calibration board")
+    _page(sheet, paper).save(drawn, "PDF", resolution=_DPI, title=_TITLE)
     try:
+        if path.exists() and _TITLE.encode("utf-16-be") not in path.read_bytes():
+            raise CalibrationError(f"{path} is there already and no board; give another with -o")
         write_whole(path, drawn.getvalue())
     except OSError as error:
         raise CalibrationError(f"{path}: cannot write ({error.strerror or error})") from error
