@@ -21,7 +21,10 @@ while [ $# -gt 0 ]; do
         echo "first-run: no option $1" >&2
         exit 2
         ;;
-    *) wheel=$1 ;;
+    *)
+        [ -z "$wheel" ] || { echo "first-run: one wheel, not $wheel and $1" >&2; exit 2; }
+        wheel=$1
+        ;;
     esac
     shift
 done

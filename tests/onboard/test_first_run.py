@@ -130,3 +130,12 @@ def test_the_scripts_are_clean_shell():
     scripts = sorted(str(path) for path in SCRIPT.parent.glob("*.sh"))
     done = subprocess.run(["shellcheck", *scripts], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout
+
+
+def test_of_two_wheels_none_is_chosen(board):
+    before = content(board)
+    wheels = (str(board.parent / f"vwnav-{version}-py3-none-any.whl") for version in (1.0, 1.1))
+    done = first_run(board, *wheels)
+    assert done.returncode == 2
+    assert "one wheel" in done.stderr
+    assert content(board) == before
