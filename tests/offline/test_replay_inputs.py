@@ -30,6 +30,7 @@ from vwnav.maps.build.raster import array_source, local_georeference
 from vwnav.maps.heights import HeightGrid
 from vwnav.maps.pack import MapPack
 from vwnav.mission.mission import FlightEnd, Phase
+from vwnav.offline.replay_inputs import Player
 from vwnav.offline.report import ReplayRecord
 from vwnav.onboard.record import FlightRecord
 from vwnav.pipeline import Pipeline
@@ -298,6 +299,17 @@ def test_the_folder_of_a_crashed_flight_is_not_written_over(flown, pack_file, tm
     done = replay(tmp_path / "flight.mcap", pack_file, tmp_path)
     assert "already holds a run" in str(done.exception)
     assert (tmp_path / "trajectory.csv.part").read_text() == "precious"
+
+
+def test_a_folder_that_cannot_be_had_is_refused_before_the_work(
+    flown, pack_file, tmp_path, monkeypatch
+):
+    (tmp_path / "trajectory.csv").write_text("precious")
+    monkeypatch.setattr(Player, "play", interrupt)
+    done = replay(flown / "flight.mcap", pack_file, tmp_path)
+    assert "already holds a run" in str(done.exception)
+    done = replay(flown / "flight.mcap", pack_file, pack_file / "out")
+    assert f"{pack_file} is no folder that may be written" in str(done.exception)
 
 
 def test_an_interrupted_replay_leaves_nothing_and_can_be_asked_for_again(

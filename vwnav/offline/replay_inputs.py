@@ -18,7 +18,7 @@ from vwnav.maps.pack import MapPack
 from vwnav.offline.report import ReplayOptions, ReplayRecord, no_halves
 from vwnav.recording.input_log import About, ImageSeen, read_about, read_input_log
 from vwnav.recording.reader import is_cut_off
-from vwnav.recording.run_folder import make_run_folder
+from vwnav.recording.run_folder import check_run_folder, make_run_folder
 from vwnav.screen import LiveLine, say
 from vwnav.seams import StepResult
 from vwnav.types import Estimate, Rejected, RejectReason
@@ -36,6 +36,7 @@ def replay_inputs(options: ReplayOptions) -> None:
         OSError: there is no room for what it writes.
     """
     path = Path(options.source)
+    check_run_folder(options.output)
     about, config = read_about(path)
     ekf_config = _ekf_config(config, about)
     with MapPack.open(options.map_path) as pack:

@@ -42,7 +42,7 @@ from vwnav.onboard.simulation import DEFAULT_ROUTE, DEFAULT_SITE
 from vwnav.pace import PacedClock
 from vwnav.recording.disk.budget import DiskBudget
 from vwnav.recording.disk.thread import sync_file
-from vwnav.recording.run_folder import make_run_folder, unused
+from vwnav.recording.run_folder import check_run_folder, make_run_folder, unused
 from vwnav.screen import say
 from vwnav.seams import FrameSource
 from vwnav.sim.config import Manners, VehicleConfig
@@ -73,6 +73,8 @@ def fly_route(options: FlyOptions) -> None:
     options = _with_simulated_defaults(_left_to_a_person(options, manager))
     with ExitStack() as stack:
         stack.enter_context(stderr_that_never_waits())
+        if options.sim:  # whose site is drawn first
+            check_run_folder(options.output)
         plan = plan_flight(options, stack)
         if plan.returns:
             say(plan.returns)

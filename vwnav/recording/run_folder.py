@@ -66,9 +66,28 @@ def make_run_folder(wanted: Path | None, kind: str) -> Path:
         raise VwnavError(f"cannot make the run folder {where}: {error.strerror}") from error
     if not _is_ours(folder):
         raise VwnavError(f"another run writes to {folder}; give another folder with -o")
+    _check_empty(folder)
+    return folder
+
+
+def check_run_folder(wanted: Path | None) -> None:
+    """Refuse before minutes of work what `make_run_folder` would refuse after them.
+
+    Raises:
+        VwnavError: the folder cannot be made, or holds another run.
+    """
+    folder = wanted or Path("runs")
+    made_in = next(each for each in (folder, *folder.absolute().parents) if each.exists())
+    if not made_in.is_dir() or not os.access(made_in, os.W_OK | os.X_OK):
+        raise VwnavError(
+            f"cannot make the run folder {folder}: {made_in} is no folder that may be written"
+        )
+    _check_empty(folder)
+
+
+def _check_empty(folder: Path) -> None:
     if any((folder / name).exists() for name in ("trajectory.csv", "flight.mcap")):
         raise VwnavError(f"{folder} already holds a run; give another folder with -o")
-    return folder
 
 
 def unused(folder: Path) -> Path:
