@@ -1,11 +1,20 @@
 """Sites by name, and their map look as a raster with a true georeference."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from vwnav.errors import ConfigError
 from vwnav.geometry.geodesy import LocalFrame, Window
-from vwnav.sim.named_sites import MAP_M_PER_PX, MAP_NORTH_M, is_site, map_raster, parse_site
+from vwnav.sim.named_sites import (
+    MAP_M_PER_PX,
+    MAP_NORTH_M,
+    cache_folder,
+    is_site,
+    map_raster,
+    parse_site,
+)
 
 
 def test_the_unrelated_site_has_its_airfield_elsewhere():
@@ -51,3 +60,19 @@ def test_the_raster_draws_what_the_site_shows_there():
     assert corner[0] == pytest.approx(MAP_NORTH_M / 2.0 - 1000 * MAP_M_PER_PX, abs=0.05)
     assert drawn.bgr.shape == (64, 64, 3)
     assert drawn.mask.all()
+
+
+def test_who_has_no_home_is_told_what_to_set(monkeypatch, tmp_path):
+    def nobody() -> None:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", nobody)
+    with pytest.raises(ConfigError, match="set XDG_CACHE_HOME"):
+        cache_folder()
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    with pytest.raises(ConfigError, match="set XDG_CACHE_HOME"):
+        cache_folder()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert cache_folder().is_dir()

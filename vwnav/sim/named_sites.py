@@ -86,9 +86,21 @@ def map_raster(site: Site) -> DrawnSource:
 
 
 def cache_folder() -> Path:
-    """The user's own for what is drawn once: `$XDG_CACHE_HOME/vwnav`, else `~/.cache/vwnav`."""
+    """The user's own for what is drawn once: `$XDG_CACHE_HOME/vwnav`, else `~/.cache/vwnav`.
+
+    Raises:
+        ConfigError: this user has none, or may not make it: in a container, say.
+    """
     root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "vwnav"
+    try:
+        folder = (Path(root) if root else Path.home() / ".cache") / "vwnav"
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError) as error:  # Python knows no home of this user
+        raise ConfigError(
+            f"no place for what is drawn of a site ({error}): set XDG_CACHE_HOME to a folder that "
+            "may be written"
+        ) from error
+    return folder
 
 
 def tiles_folder(site: Site) -> Path:
