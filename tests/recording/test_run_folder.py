@@ -100,6 +100,12 @@ def test_rows_whose_file_cannot_be_made_later_say_so_at_the_end(tmp_path):
         writer.close()
 
 
+def test_a_full_disk_is_said_with_the_files_name_from_the_first_line_on(tmp_path):
+    (tmp_path / "trajectory.csv.part").symlink_to("/dev/full")
+    with pytest.raises(OSError, match=r"trajectory\.csv\.part"):
+        TrajectoryWriter(tmp_path / "trajectory.csv", HOME, 0.0)
+
+
 def test_rows_end_where_the_disk_does_not_answer_for_minutes(tmp_path, monkeypatch):
     answers = threading.Event()
     monkeypatch.setattr(os, "fsync", lambda handle: answers.wait(60.0))

@@ -172,7 +172,10 @@ class TrajectoryWriter:
         make_folder(self._path.parent)
         self._file = self._partial.open("w", newline="", buffering=1)
         self._rows = csv.DictWriter(self._file, COLUMNS, restval="")
-        self._rows.writeheader()
+        try:
+            self._rows.writeheader()
+        except OSError as error:
+            raise named(error, self._partial) from error
 
     def write(self, step: StepResult, commanded_yaw_rad: float | None = None) -> None:
         """Append the row of one image.
