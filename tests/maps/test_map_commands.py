@@ -108,6 +108,12 @@ def test_levels_that_are_no_numbers_are_a_usage_error(tmp_path: Path):
     assert result.exit_code == 2
 
 
+def test_a_pack_without_features_is_a_usage_error(tmp_path: Path):
+    done = run("build", tmp_path / "a.tif", "-o", tmp_path / "a.mbtiles", "--features", " ,")
+    assert done.exit_code == 2
+    assert "no feature set" in done.stderr
+
+
 def test_a_missing_source_is_a_map_error(tmp_path: Path):
     with pytest.raises(MapError, match="no such file"):
         run("build", tmp_path / "x.tif", "-o", tmp_path / "y.mbtiles", "--features", "sift")

@@ -180,6 +180,8 @@ def route_and_home(
 
 def _names(features: str) -> list[str]:
     names = [name.strip() for name in features.split(",") if name.strip()]
+    if not names:
+        raise typer.BadParameter("no feature set named: learned, sift, orb, or some of them")
     return list(dict.fromkeys(names))
 
 
