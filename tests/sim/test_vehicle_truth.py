@@ -14,6 +14,7 @@ from px4_client import free_port
 from pymavlink.dialects.v20 import development as mavlink
 
 from vwnav.errors import ConfigError, LinkError
+from vwnav.sim.mavlink import truth_line
 from vwnav.sim.truth import TruthReader
 from vwnav.sim.truth_state import TruthState, between
 
@@ -312,6 +313,19 @@ def test_a_url_that_is_none_says_so(url: str) -> None:
         TruthReader(url)
 
 
-def test_a_tcp_server_that_is_not_there_says_so() -> None:
+def test_a_tcp_server_that_comes_a_moment_later_is_waited_for() -> None:
+    """ArduPilot's simulator listens on its second port once its first one has somebody."""
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        threading.Timer(0.3, server.listen).start()
+        reader = TruthReader(f"tcpout:127.0.0.1:{server.getsockname()[1]}")
+        try:
+            server.accept()[0].close()
+        finally:
+            reader.close()
+
+
+def test_a_tcp_server_that_is_not_there_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(truth_line, "_CONNECT_S", 0.1)
     with pytest.raises(LinkError, match="cannot open tcpout"):
         TruthReader("tcpout:127.0.0.1:1")

@@ -50,7 +50,7 @@ class TruthReader:
 
     Raises:
         ConfigError: the URL is none of these.
-        LinkError: the port is taken, or nobody listens at a tcpout URL.
+        LinkError: the port is taken, or nobody has come to listen at a tcpout URL.
     """
 
     def __init__(self, url: str, rate_hz: float = 100.0, clock: Clock | None = None) -> None:

@@ -19,7 +19,8 @@ Source = Address | int  # who spoke: an address, or the number of a connection
 class TruthLine:
     """Bytes to and from whoever is there; a connection that ends is made anew until it stands.
 
-    A simulator that is started anew closes its ports and opens them again.
+    A simulator that is started anew closes its ports and opens them again. ArduPilot's opens those
+    of its other links only when somebody has connected to the first, so one is waited for.
 
     Args:
         url: udpin:HOST:PORT, udpout:HOST:PORT or tcpout:HOST:PORT, or as MAVSDK writes them: "//"
@@ -30,7 +31,7 @@ class TruthLine:
 
     Raises:
         ConfigError: the URL is none of these.
-        LinkError: the port is taken, or nobody listens at a tcpout URL.
+        LinkError: the port is taken, or nobody has come to listen at a tcpout URL.
     """
 
     def __init__(self, url: str) -> None:
@@ -41,7 +42,7 @@ class TruthLine:
         self._socket: socket.socket | None
         try:
             if self.is_stream:
-                self._socket = self._connected(_CONNECT_S)
+                self._socket = self._awaited()
             else:
                 self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
                 self._socket.settimeout(_WAIT_S)
@@ -88,6 +89,17 @@ class TruthLine:
         """Free the port."""
         if self._socket is not None:
             self._socket.close()
+
+    def _awaited(self) -> socket.socket:
+        """The first connection, as soon as somebody listens."""
+        until_s = time.monotonic() + _CONNECT_S
+        while True:
+            try:
+                return self._connected(max(until_s - time.monotonic(), _WAIT_S))
+            except ConnectionRefusedError:
+                if time.monotonic() >= until_s:
+                    raise
+            time.sleep(_WAIT_S)
 
     def _connected(self, timeout_s: float) -> socket.socket:
         connection = socket.create_connection(self._address, timeout_s)
