@@ -139,6 +139,15 @@ class Tilting(NoOdometry):
 
 
 @dataclass
+class Hanging(NoOdometry):
+    """Finds out after two seconds that it is always the same picture."""
+
+    def step(self, frame, R_ned_body, agl_m):
+        hangs = frame.t_s > 2.0
+        return Rejected(frame.t_s, RejectReason.NO_FRAME if hangs else RejectReason.FEW_MATCHES)
+
+
+@dataclass
 class Racing(NoOdometry):
     """Tells 50 m/s; counts how often it is told that it mistook the ground."""
 
@@ -268,6 +277,18 @@ def test_a_sure_filter_that_finds_nothing_is_doubted_until_it_finds_something():
     localizer.north_east_m = (0.0, 0.0)
     fly(pipeline, 3.0, t0_s=30.0)  # found twice, by searches a second apart
     assert localizer.priors[-1].sigma_m < 6.0
+
+
+def test_a_picture_that_is_none_is_not_matched():
+    """Where it was taken the aircraft is not any more: matched it was 43 m wrong, 9.6 sigmas."""
+    localizer = FakeLocalizer()
+    pipeline = make_pipeline(localizer, start=above_home(), odometry=Hanging())
+    fly(pipeline, seconds=2.0)
+    tried = len(localizer.priors)
+    assert tried > 5
+    steps = fly(pipeline, seconds=3.0, t0_s=2.0)
+    assert len(localizer.priors) == tried
+    assert all(isinstance(step.outcome, Rejected) for step in steps)
 
 
 def test_without_a_start_the_whole_map_is_searched_and_the_first_fix_begins():

@@ -165,9 +165,9 @@ class Pipeline:
                 image = with_motion(image, self._ekf.attitudes.at, now)
         R_ned_body = None if attitude is None else rotation_from_quat(attitude.quat_wxyz)
         motion = self._track(image, attitude, R_ned_body)
-        ended = self._collect(frame.t_s)
-        outcome = self._attempt_if_due(image, R_ned_body) or ended
-        outcome = outcome or Rejected(frame.t_s, RejectReason.NOT_TRIED)
+        outcome = self._collect(frame.t_s) or Rejected(frame.t_s, RejectReason.NOT_TRIED)
+        if not (isinstance(motion, Rejected) and motion.reason is RejectReason.NO_FRAME):
+            outcome = self._attempt_if_due(image, R_ned_body) or outcome
         return StepResult(frame.t_s, motion, outcome, self.estimate(frame.t_s))
 
     def _track(
@@ -178,7 +178,7 @@ class Pipeline:
         motion = self._odometry.step(frame, R_ned_body, now.agl_m if now else UNKNOWN_AGL_M)
         if self._lost:
             self._sequences.follow(motion, attitude or self._odometry.counted_attitude(frame.t_s))
-        if now is None:
+        if now is None and isinstance(motion, OdometryMotion):
             motion = Rejected(frame.t_s, RejectReason.NOT_TRIED, "height above ground unknown")
         self.link_rests.wait(_GIVES_WAY_S)
         with self._lock:

@@ -208,9 +208,9 @@ class FlightRuntime:
             self._say_once("broken picture", f"a picture could not be used: {error!r}")
             self._follows = False
             return
-        if trouble:
-            self._say_once(trouble, f"pictures are not used: {trouble}")
         way = step.motion
+        if isinstance(way, Rejected) and way.reason is RejectReason.NO_FRAME:
+            self._say_once(way.detail, f"pictures are not used: {way.detail}")
         with self._lock:
             # What the filter refuses of motions: `Verdict.DISTRUSTED`.
             self._contradicted = isinstance(way, Rejected) and way.reason is RejectReason.PRIOR

@@ -9,7 +9,7 @@ import pytest
 
 from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import rotation_from_euler, rotation_from_vector
-from vwnav.types import Frame, OdometryMotion
+from vwnav.types import Frame, OdometryMotion, Rejected, RejectReason
 from vwnav.vision.config import OdometryConfig
 from vwnav.vision.odometry.odometry import Odometry
 
@@ -227,3 +227,44 @@ def test_what_was_mistaken_is_followed_no_further_and_the_newest_image_is():
     motion = odometry.step(Frame(0.2, images[2], 2), LEVEL, AGL_M)
     assert isinstance(motion, OdometryMotion)
     assert motion.t0_s == 0.1
+
+
+def looks_of(images, tilts_deg):
+    """What odometry says of each image, five a second, of a body that leans forward by so much."""
+    odometry = Odometry(CAMERA, OdometryConfig())
+    return [
+        odometry.step(
+            Frame(0.2 * i, shown, i), rotation_from_euler(0.0, math.radians(tilt_deg), 0.0), AGL_M
+        )
+        for i, (shown, tilt_deg) in enumerate(zip(images, tilts_deg, strict=True))
+    ]
+
+
+def noisy(count: int) -> list[np.ndarray]:
+    """One picture again and again, as a stream encodes it anew: no two are the same."""
+    rng, shown = np.random.default_rng(3), image(ground(1), 0.0).astype(np.float64)
+    return [np.clip(shown + rng.normal(0.0, 4.0, shown.shape), 0, 255).astype(np.uint8)
+            for _ in range(count)]  # fmt: skip
+
+
+def is_none(look) -> bool:
+    return isinstance(look, Rejected) and look.reason is RejectReason.NO_FRAME
+
+
+def test_a_picture_that_stands_still_while_the_aircraft_turns_is_none_whatever_its_noise():
+    """A hover was believed on one for a minute: 18 m wrong, 37 sigmas."""
+    tilts_deg = [0.6 * math.sin(0.8 * i) for i in range(24)]
+    frozen = looks_of(noisy(24), tilts_deg)
+    assert not any(map(is_none, frozen[:5]))  # it takes a second
+    assert all(map(is_none, frozen[12:]))
+    live = [image(ground(1), px) for px in (4.0, 8.0)]
+    after = looks_of([*noisy(20), *live], [*tilts_deg[:20], 0.0, 0.0])
+    assert isinstance(after[-1], OdometryMotion)
+
+
+def test_a_hover_is_no_picture_that_stands_still():
+    """In still air one is: it does not turn. And what turns sees the ground move."""
+    assert not any(map(is_none, looks_of(noisy(24), 24 * [0.3])))
+    tilts_deg = [0.6 * math.sin(0.8 * i) for i in range(24)]
+    px = [-math.tan(math.radians(t)) * AGL_M / M_PER_PX for t in tilts_deg]
+    assert not any(map(is_none, looks_of([image(ground(1), each) for each in px], tilts_deg)))

@@ -1,10 +1,18 @@
 """Of a video alone, whose camera is taken as level: the way of the ground point in its centre."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from vwnav.geometry.rotations import rotation_from_vector
+from vwnav.geometry.camera import Camera
+from vwnav.geometry.rotations import (
+    euler_from_rotation,
+    rotation_from_euler,
+    rotation_from_vector,
+)
 from vwnav.types import Array
 from vwnav.vision.odometry.ground_motion import Motion
+from vwnav.vision.odometry.views import ReducedView
 
 
 def centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array]:
@@ -24,6 +32,13 @@ def centre_way(motion: Motion, axis0: Array, axis1: Array) -> tuple[Array, Array
     for i, step in enumerate(1e-6 * np.eye(8)):
         J[:, i] = (_centre(parameters + step, axis0, axis1) - way) / 1e-6
     return way, J @ motion.covariance[:8, :8] @ J.T
+
+
+def turned_level(view: ReducedView, heading_rad: float, camera: Camera) -> ReducedView:
+    """A level view, whose body has the heading that its image has shown."""
+    R_ned_body = rotation_from_euler(0.0, 0.0, heading_rad)
+    told_rad = euler_from_rotation(R_ned_body)[2]
+    return replace(view, R_ned_camera=R_ned_body @ camera.R_body_camera, heading_rad=told_rad)
 
 
 def _centre(parameters: Array, axis0: Array, axis1: Array) -> Array:

@@ -31,7 +31,7 @@ from vwnav.types import (
 )
 from vwnav.vision.config import OdometryConfig
 from vwnav.vision.matching import Points, find_corners, track
-from vwnav.vision.odometry.alone import centre_way
+from vwnav.vision.odometry.alone import centre_way, turned_level
 from vwnav.vision.odometry.ground_motion import (
     Motion,
     MotionPrior,
@@ -48,6 +48,10 @@ _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of gr
 _MOST_ZOOM = 0.5
 _STEEPEST = 0.5  # slope that ground is thought to have
 _WENT_BY_PX = 20.0  # the ground since the keyframe: no pixel shows what it showed
+# Of one picture, newly encoded or with other noise, so many corners move by less, for so long,
+# though the camera has turned by so much. On the ground a live one stands still, too.
+_STILL_PX, _STILL_SHARE, _STILL_S, _TURNED_PX, _STILL_FROM_M = 0.3, 0.9, 1.0, 1.0, 3.0
+_STILL = "they stand still while the aircraft turns"
 _KNOCKS_RAD = tuple(math.radians(each) for each in (20.0, -20.0, 40.0, -40.0))
 
 
@@ -89,6 +93,9 @@ class Odometry:
         self._heading_rad = 0.0
         self._overlay = Overlay(self._camera.width_px, self._camera.height_px)
         self._broke = False  # the image before could not be followed
+        # The first image that looks as all do since: its keyframe, where whose corners (n, 2) are.
+        self._like: tuple[Keyframe, Points, ReducedView] | None = None
+        self._hangs = False  # the camera: it is always the same picture
 
     def mistook(self) -> None:
         """What was followed was not the ground: from the newest image on, and not as that led."""
@@ -124,6 +131,8 @@ class Odometry:
         if self._keyframe is None:
             return self._begin(view)
         result = self._follow(self._keyframe, view)
+        if self._hangs:
+            return Rejected(view.t_s, RejectReason.NO_FRAME, _STILL)
         if isinstance(result, Rejected) and last is not None and last is not self._keyframe.view:
             # The image before sees more of what this one sees than the keyframe does.
             keyframe = self._start(last)
@@ -154,11 +163,8 @@ class Odometry:
 
     def _view(self, frame: Frame, R_ned_body: Array | None, agl_m: float) -> ReducedView | Rejected:
         if frame.image.shape[1::-1] != self._full_wh:
-            return Rejected(
-                frame.t_s,
-                RejectReason.NO_FRAME,
-                f"picture of {frame.image.shape[1::-1]}, camera of {self._full_wh}",
-            )
+            sizes = f"picture of {frame.image.shape[1::-1]}, camera of {self._full_wh}"
+            return Rejected(frame.t_s, RejectReason.NO_FRAME, sizes)
         if self._last is not None and frame.t_s <= self._last.t_s:
             return Rejected(frame.t_s, RejectReason.NOT_TRIED, "not later than the one before")
         if self._alone:
@@ -224,18 +230,15 @@ class Odometry:
     def _follow(self, keyframe: Keyframe, view: ReducedView) -> OdometryMotion | Rejected:
         config = self._config
         uv1, kept = track(keyframe.view.gray, view.gray, keyframe.uv, self._guess(keyframe, view))
+        self._hangs = self._is_still(keyframe, view, np.where(kept[:, None], uv1, np.nan))
         stats = MatchStats(keypoints=len(keyframe.uv), matches=int(np.count_nonzero(kept)))
         if stats.matches < config.least_inliers:
             return Rejected(view.t_s, RejectReason.FEW_MATCHES, "tracks lost", stats=stats)
         rays1 = self._camera.bearings(uv1[kept].astype(np.float64))
         if view.flow is not None:
             rays1 = as_at_once(rays1, uv1[kept], self._camera, view.flow)
-        seen = Sightings(
-            keyframe.rays[kept],
-            rays1 / rays1[:, 2:],
-            view.R_ned_camera,
-            float(self._camera.K[0, 0]),
-        )
+        nadir, focal_px = rays1 / rays1[:, 2:], float(self._camera.K[0, 0])
+        seen = Sightings(keyframe.rays[kept], nadir, view.R_ned_camera, focal_px)
         prior = self._prior(keyframe.view, view)
         motion = fit_motion(seen, prior, config.threshold_px)
         count = 0 if motion is None else int(np.count_nonzero(motion.inliers))
@@ -252,6 +255,18 @@ class Odometry:
         unsure = replace(motion, covariance=motion.doubt * motion.covariance)
         slope = None if self._alone else motion.told_slope
         return self._accept(keyframe, view, unsure, count, tilt, slope)
+
+    def _is_still(self, keyframe: Keyframe, view: ReducedView, uv: Points) -> bool:
+        """Whether it is always one picture: what a camera that lives shows turns with it."""
+        if self._like is not None and self._like[0] is keyframe:
+            _, uv_like, first = self._like
+            still = np.hypot(*(uv - uv_like).T) < _STILL_PX
+            if np.count_nonzero(still) > _STILL_SHARE * np.count_nonzero(np.isfinite(uv[:, 0])):
+                turned = np.linalg.norm(view.R_ned_camera - first.R_ned_camera) / math.sqrt(2.0)
+                lasts = view.t_s - first.t_s >= _STILL_S and view.height_m > _STILL_FROM_M
+                return self._hangs or bool(lasts and self._camera.K[0, 0] * turned > _TURNED_PX)
+        self._like = keyframe, uv, view
+        return False
 
     def _prior(self, keyframe: ReducedView, view: ReducedView) -> MotionPrior:
         """The ground slopes much as it did before the keyframe; nobody knows how at first."""
@@ -280,7 +295,7 @@ class Odometry:
         if self._alone:
             axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
             way, covariance = centre_way(motion, *axes)
-            view = self._turned(view, heading1_rad)
+            view, self._heading_rad = turned_level(view, heading1_rad, self._camera), heading1_rad
         else:
             way, covariance = motion.way, motion.covariance[:3, :3]
         swung_m = (view.R_ned_camera - keyframe.view.R_ned_camera) @ self._arm_camera_m
@@ -312,14 +327,6 @@ class Odometry:
             relief=motion.relief,
             tilts_turned=tilt.turned,
         )
-
-    def _turned(self, view: ReducedView, heading_rad: float) -> ReducedView:
-        """A level view with the heading that its image has shown."""
-        self._heading_rad = heading_rad
-        R_ned_body = rotation_from_euler(0.0, 0.0, heading_rad)
-        R_ned_camera = R_ned_body @ self._camera.R_body_camera
-        heading_rad = _heading(R_ned_camera, self._camera)
-        return replace(view, R_ned_camera=R_ned_camera, heading_rad=heading_rad)
 
     def _remember(self, view: ReducedView, motion: Motion) -> None:
         course = self._course

@@ -127,6 +127,12 @@ def frozen() -> Trouble:
     return freeze
 
 
+def frozen_in_a_stream() -> Trouble:
+    """The same image again and again, encoded anew each time: no two are the same."""
+    freeze, encode = frozen(), _faded(1.0, 0.0, _DARK_NOISE)
+    return lambda frame: (same := freeze(frame)) and encode(same)
+
+
 def looping() -> Trouble:
     """The images of a second again and again, with new times: a buffer that is stuck."""
     kept: deque[Image] = deque()
@@ -218,11 +224,7 @@ def another_size() -> Trouble:
 
 def bursts_dropped() -> Trouble:
     """Eight images in a row are lost, twelve come."""
-
-    def drop(frame: Frame) -> Frame | None:
-        return None if frame.index % (_BURST + _AFTER) < _BURST else frame
-
-    return drop
+    return lambda frame: None if frame.index % (_BURST + _AFTER) < _BURST else frame
 
 
 def landing_gear() -> Trouble:
@@ -329,9 +331,7 @@ def each_twice() -> Trouble:
 def false_times() -> Trouble:
     """Every third image tells a time that cannot be."""
     off_s = cycle(_FALSE_TIMES_S)
-    return lambda frame: (
-        replace(frame, t_s=frame.t_s + next(off_s)) if frame.index % 3 == 0 else frame
-    )
+    return lambda frame: frame if frame.index % 3 else replace(frame, t_s=frame.t_s + next(off_s))
 
 
 def _faded(share: float, grey: float, noise: float) -> Trouble:

@@ -1,6 +1,7 @@
 """Images that tell nothing, tell it badly, late or seldom."""
 
 from vwnav.bench.flights.faults import camera as broken
+from vwnav.bench.flights.faults.aircraft import StationOrders
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
     CONFIG,
@@ -17,6 +18,7 @@ from vwnav.bench.flights.scenario import (
 )
 from vwnav.config import with_camera
 from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO, UNMEASURED_MOUNT_RAD
+from vwnav.vehicle import Order
 
 UNMEASURED = with_camera(CONFIG, UNMEASURED_MOUNT_RAD, UNMEASURED_FOCAL_RATIO)
 USELESS = [
@@ -32,11 +34,26 @@ USELESS = [
         ("gone", broken.no_images),
         ("black", broken.black),
         ("frozen", broken.frozen),
+        ("frozen in a stream", broken.frozen_in_a_stream),
         ("failing", broken.raising),
         ("over-exposed", broken.overexposed),
         ("of another size", broken.another_size),
         ("of one second in a loop", broken.looping),
         ("of a ground that repeats", broken.repeating_ground),
+    )
+]
+# It hangs on what it sees: the aircraft may drift as it likes, and no way contradicts the IMU.
+HOVERING = [
+    Scenario(
+        name="the ground station pauses the flight, and pictures freeze in a stream",
+        setup=setup(),
+        breaks=(
+            Break(fault=StationOrders(Order.PAUSE), at_s=4.0),
+            Break(fault=broken.CameraTrouble(broken.frozen_in_a_stream), at_s=12.0),
+        ),
+        limit_s=90.0,
+        follows=(said(16.0, "they stand still while the aircraft turns"), phase(24.0, "landing")),
+        lands_within_m=50.0,
     )
 ]
 POOR = [
@@ -218,4 +235,4 @@ KNOCKED = [
         ),
     )
 ]
-IMAGES = [*USELESS, *POOR, *LATE, *MOUNTED, *KNOCKED]
+IMAGES = [*USELESS, *HOVERING, *POOR, *LATE, *MOUNTED, *KNOCKED]
