@@ -103,8 +103,12 @@ def _inner(shown: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return cv2.erode(shown.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
 
 
-def peak_sigmas(view: Gray, seen: NDArray[np.bool_], map_: Gray, known: NDArray[np.bool_]) -> float:
+def peak_and_rival(
+    view: Gray, seen: NDArray[np.bool_], map_: Gray, known: NDArray[np.bool_]
+) -> tuple[float, float]:
     """How far the correlation without shift stands above that with one, in standard deviations.
+
+    And how far the best one with a shift does; nothing and all where there is too little to see.
 
     Args:
         view: (h, w) uint8.
@@ -114,7 +118,7 @@ def peak_sigmas(view: Gray, seen: NDArray[np.bool_], map_: Gray, known: NDArray[
     """
     weight = _inner(seen & known)
     if np.count_nonzero(weight) < _MIN_PIXELS:
-        return 0.0
+        return 0.0, math.inf
     edges0, edges1 = (_directions(image) * weight for image in (view, map_))
     h, w = view.shape
     reach = int(RING_PX[1]) + 1
@@ -125,8 +129,9 @@ def peak_sigmas(view: Gray, seen: NDArray[np.bool_], map_: Gray, known: NDArray[
     near = correlation[np.ix_(shifts, shifts)]
     distance = np.hypot(*np.meshgrid(shifts, shifts))
     ring = near[(distance >= RING_PX[0]) & (distance <= RING_PX[1])]
-    peak = float(near[distance <= CENTER_PX].max())
-    return (peak - float(ring.mean())) / max(float(ring.std()), 1e-9)
+    mean, deviation = float(ring.mean()), max(float(ring.std()), 1e-9)
+    peak, rival = float(near[distance <= CENTER_PX].max()), float(ring.max())
+    return (peak - mean) / deviation, (rival - mean) / deviation
 
 
 def _directions(image: Gray) -> NDArray[np.complex64]:

@@ -292,7 +292,7 @@ class Localizer:
         needed = self._config.min_decades + math.log10(found.candidate.tests)
         if decades < needed:
             with query.stage("verify_ms"):
-                decades += decades_of_correlation(found.correlation_sigmas(self._pack, query))
+                decades += decades_of_correlation(found.correlation(self._pack, query)[0])
         chance = decades < needed or consensus.log10_nfa > WORTH_LOG10_NFA
         if chance and decades < WEAKEST_DECADES:
             return may_be_chance(query, consensus)
@@ -326,7 +326,7 @@ class Localizer:
             return False
         nadir = found.lat_lon_of_view(found.view.rectification.nadir_uv)
         with query.stage("verify_ms"):
-            return seen.contradicts(nadir, found.correlation_sigmas(self._pack, query))
+            return seen.contradicts(nadir, found.correlation(self._pack, query)[0])
 
     def _singled_out(self, edges: Edges, found: Registration) -> bool:
         nadir = found.lat_lon_of_view(found.view.rectification.nadir_uv)

@@ -201,6 +201,7 @@ def share_alike(
     likeness: NDArray[np.float32],
     others: Features,
     within_px: float = math.inf,
+    beyond_px: float = MIN_SHIFT_PX,
 ) -> float:
     """Share of the cells with landmarks whose like lies at one shift, the best there is.
 
@@ -209,6 +210,7 @@ def share_alike(
         likeness: (k,) similarity of each with the query's feature that was matched to it.
         others: features of the map, their pixels those of the landmarks but for a shift.
         within_px: a longer shift does not count.
+        beyond_px: nor does one that is not longer.
     """
     step = math.ceil(len(landmarks.uv) / MAX_LANDMARKS)
     uv, onto = landmarks.uv[::step], others.uv
@@ -226,7 +228,7 @@ def share_alike(
     owners, twins = np.nonzero(alike >= least[:, None])
     shifts = (onto[twins] - uv[owners]).astype(np.float64)
     length_px = np.linalg.norm(shifts, axis=1)
-    counted = (length_px > MIN_SHIFT_PX) & (length_px <= within_px)
+    counted = (length_px > beyond_px) & (length_px <= within_px)
     shifts, owners = shifts[counted], owners[counted]
     if len(shifts) == 0:
         return 0.0

@@ -33,7 +33,7 @@ from vwnav.types import (
 )
 from vwnav.vision.candidates import MAX_RIVALRY, PRIOR_SIGMAS, Acceptance, Candidate, Hypothesis
 from vwnav.vision.consensus import Consensus, SimilarityBounds, find_consensus
-from vwnav.vision.correlation import peak_sigmas
+from vwnav.vision.correlation import RING_PX, decades_of_correlation, peak_and_rival
 from vwnav.vision.matching import match, paired_similarity, share_alike
 from vwnav.vision.query import Query, View
 
@@ -57,6 +57,7 @@ QUARTERS = (1, 2, 3)  # turns of the map that are tried
 MAX_ALIKE = 0.6  # of the landmarks' cells may have their like at one place, or ...
 MIN_UNLIKE_CELLS = 6.0  # ... so many must have none there
 BESIDE = 2.0  # views around a registration in which its like is looked for
+ALONE_DECADES = 2.0  # that a correlation must have to tell a place from what is beside it
 Look = Callable[[Candidate], "Registration | Rejected"]
 
 
@@ -117,8 +118,8 @@ class Registration:
         low, high = np.floor(uv.min(axis=0)).astype(int), np.ceil(uv.max(axis=0)).astype(int)
         return Window(*low.tolist(), *high.tolist())
 
-    def correlation_sigmas(self, pack: MapReader, query: Query) -> float:
-        """How far the view's correlation with the map there stands above that beside it."""
+    def correlation(self, pack: MapReader, query: Query) -> tuple[float, float]:
+        """How far the view's correlation with the map stands out there, and at best beside it."""
         H, (h, w) = self.consensus.H_map_view, self.view.gray.shape
         window = self.window.grown(2)
         # Pixels of the piece of map that the matches refer to start at `origin_px`.
@@ -129,7 +130,7 @@ class Registration:
         on_view = cv2.warpPerspective(gray, shift @ H, (w, h), flags=flags)
         known = cv2.warpPerspective(data.astype(np.uint8), shift @ H, (w, h), flags=flags)
         shown = query.seen(self.view.rectification)
-        return peak_sigmas(
+        return peak_and_rival(
             self.view.gray, shown, np.asarray(on_view, np.uint8), np.asarray(known) > 0
         )
 
@@ -322,19 +323,21 @@ def _share_beside(
 ) -> float:
     """Share of the landmarks' cells that the map shows again beside them, where the prior reaches.
 
-    Without a place in the prior that is some views around.
+    Without a place in the prior that is some views around. Landmarks see far: what is some dozen
+    pixels off is like them anywhere, and counts where the image correlates there nearly as well.
     """
-    reach_m, within_px = PRIOR_SIGMAS * query.prior.sigma_m, math.inf
-    if query.prior.lat_deg is not None:
-        within_px = 2.0 * reach_m / found.view.rectification.m_per_px
-        if found.candidate.radius_m >= reach_m:  # what was searched is all that it leaves open
-            there = found.piece.features
-            return share_alike(found.landmarks, found.likeness, there, within_px)
-    window = found.window.grown(math.ceil(BESIDE * max(found.window.shape)))
-    around = pack.features_in(found.candidate.level.zoom, *window, extractor)
-    moved = found.landmarks.uv + (found.piece.origin_px - around.origin_px).astype(np.float32)
-    landmarks = replace(found.landmarks, uv=moved)
-    return share_alike(landmarks, found.likeness, around.features, within_px)
+    landmarks, there = found.landmarks, found.piece.features
+    reach_m = PRIOR_SIGMAS * query.prior.sigma_m if query.prior.lat_deg is not None else math.inf
+    within_px = 2.0 * reach_m / found.view.rectification.m_per_px
+    if found.candidate.radius_m < reach_m:  # else what was searched is all that is open
+        window = found.window.grown(math.ceil(BESIDE * max(found.window.shape)))
+        around = pack.features_in(found.candidate.level.zoom, *window, extractor)
+        moved = landmarks.uv + (found.piece.origin_px - around.origin_px).astype(np.float32)
+        landmarks, there = replace(landmarks, uv=moved), around.features
+    share = share_alike(landmarks, found.likeness, there, within_px)
+    peak, rival = found.correlation(pack, query) if share > MAX_ALIKE else (0.0, math.inf)
+    alone = rival <= MAX_RIVALRY * peak and decades_of_correlation(peak) >= ALONE_DECADES
+    return share_alike(landmarks, found.likeness, there, within_px, RING_PX[1]) if alone else share
 
 
 def _share_turned(pack: MapReader, extractor: FeatureExtractor, found: Registration) -> float:
