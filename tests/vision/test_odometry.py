@@ -257,6 +257,9 @@ def test_a_picture_that_stands_still_while_the_aircraft_turns_is_none_whatever_i
     frozen = looks_of(noisy(24), tilts_deg)
     assert not any(map(is_none, frozen[:5]))  # it takes a second
     assert all(map(is_none, frozen[12:]))
+    for turned_deg in (0.0, 25.0):  # it hangs for as long as it does, however it turns by then
+        leans = [2.0 * each + turned_deg * (i > 15) for i, each in enumerate(tilts_deg)]
+        assert all(map(is_none, looks_of(noisy(24), leans)[12:]))
     live = [image(ground(1), px) for px in (4.0, 8.0)]
     after = looks_of([*noisy(20), *live], [*tilts_deg[:20], 0.0, 0.0])
     assert isinstance(after[-1], OdometryMotion)

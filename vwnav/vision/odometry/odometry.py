@@ -48,9 +48,8 @@ _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of gr
 _MOST_ZOOM = 0.5
 _STEEPEST = 0.5  # slope that ground is thought to have
 _WENT_BY_PX = 20.0  # the ground since the keyframe: no pixel shows what it showed
-# Of one picture, newly encoded or with other noise, so many corners move by less, for so long,
-# though the camera has turned by so much. On the ground a live one stands still, too.
-_STILL_PX, _STILL_SHARE, _STILL_S, _TURNED_PX, _STILL_FROM_M = 0.3, 0.9, 1.0, 1.0, 3.0
+# One picture, encoded anew: its corners move by less, for so long, though the camera has turned.
+_STILL_PX, _STILL_SHARE, _STILL_S, _TURNED_PX, _STILL_FROM_M = 0.4, 0.9, 1.0, 1.0, 3.0
 _STILL = "they stand still while the aircraft turns"
 _KNOCKS_RAD = tuple(math.radians(each) for each in (20.0, -20.0, 40.0, -40.0))
 
@@ -216,13 +215,14 @@ class Odometry:
         return self._keyframe
 
     def _guess(self, keyframe: Keyframe, view: ReducedView) -> Points:
-        """Where the corners (n, 2) should be now if the camera flies on as it did."""
+        """Where the corners (n, 2) should be now if the camera flies on as it did, or hangs."""
+        if self._hangs and self._like is not None and self._like[0] is keyframe:
+            return np.nan_to_num(self._like[1], nan=-1e3)
         course = self._course
         way = course.way + (view.t_s - course.t_s) * course.way_per_s
         R_camera_ned = (rotation_from_vector(course.turn_rad) @ view.R_ned_camera).T
         ground = keyframe.rays / keyframe.rays[:, 2:]
-        guess = self._camera.project((ground - way) @ R_camera_ned.T)
-        guess = np.nan_to_num(guess, nan=-1e3)
+        guess = np.nan_to_num(self._camera.project((ground - way) @ R_camera_ned.T), nan=-1e3)
         if keyframe.turn is not None:
             guess = cv2.transform(guess[None], keyframe.turn)[0]
         return np.asarray(guess, np.float32)
@@ -300,7 +300,7 @@ class Odometry:
             way, covariance = motion.way, motion.covariance[:3, :3]
         swung_m = (view.R_ned_camera - keyframe.view.R_ned_camera) @ self._arm_camera_m
         self._remember(view, motion)
-        if (
+        if not self._hangs and (
             count < self._config.keep_ratio * len(keyframe.uv)
             or abs(increment_rad) > self._config.keep_turn_rad
             or abs(motion.way[2]) > self._config.keep_zoom
