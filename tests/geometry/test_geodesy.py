@@ -10,6 +10,7 @@ from vwnav.geometry.geodesy import (
     LocalFrame,
     ecef_from_geodetic,
     horizontal_distance_m,
+    places_along,
 )
 
 latitudes = st.floats(-90.0, 90.0)
@@ -92,3 +93,15 @@ def test_horizontal_distance_crosses_the_antimeridian_the_short_way() -> None:
 def test_impossible_origin_is_refused(origin: tuple[float, float, float]) -> None:
     with pytest.raises(ValueError, match="origin"):
         LocalFrame(*origin)
+
+
+@pytest.mark.parametrize("stops", [[[0.0, 0.0], [46.84, -91.99]], [[46.84, -91.99]]])
+def test_a_way_across_the_globe_is_no_million_of_places(stops: list[list[float]]) -> None:
+    places = list(places_along(np.array(stops), 10.0))
+    assert len(places) <= 50_002
+    np.testing.assert_allclose(places[-1][2], stops[-1])
+
+
+def test_a_ways_places_lie_as_near_as_asked() -> None:
+    along_m = [each for each, _, _ in places_along(np.array([[46.0, 8.0], [46.1, 8.1]]), 10.0)]
+    assert np.diff(along_m).max() <= 10.0

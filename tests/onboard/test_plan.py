@@ -115,6 +115,12 @@ def test_a_start_too_low_for_the_map_is_refused_before_arming(packs, tmp_path, h
     assert ("below 27 m" in told.detail) is refused
 
 
+def test_a_home_on_another_continent_is_said_at_once_to_be_off_the_map(packs, tmp_path):
+    route = plan_file(tmp_path, (50.0, 70.0), (120.0, 70.0))
+    with pytest.raises(PreflightError, match=r"does not cover.*\(0.000000, 0.000000\)"):
+        planned(packs[1], route, home="0,0")
+
+
 def test_without_heights_or_a_home_it_is_said_that_nobody_knows(packs, tmp_path):
     route = plan_file(tmp_path, (50.0, 30.0), (120.0, 30.0))
     planned(packs[1], route)

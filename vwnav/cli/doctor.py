@@ -72,9 +72,9 @@ def doctor(
         )
     if camera:
         checks.append(_guarded("calibration", lambda: _calibration(camera)))
-    if video:
+    if video is not None:
         checks.append(_guarded("camera", lambda: _camera(video, camera)))
-    if connection:
+    if connection is not None:
         checks += _autopilot(connection, config)
     _print(checks, as_json)
     failed = [check.name for check in checks if check.verdict == "FAIL"]

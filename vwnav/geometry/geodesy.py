@@ -24,6 +24,7 @@ _EP2 = WGS84_E2 / (1.0 - WGS84_E2)
 TILE_PX = 256
 MAX_LAT_DEG = math.degrees(math.atan(math.sinh(math.pi)))
 MAX_ZOOM = 30
+_MOST_PLACES = 50_000  # along a route: 500 km of it every 10 m
 
 
 def ecef_from_geodetic(lat_deg: ArrayLike, lon_deg: ArrayLike, alt_m: ArrayLike) -> Array:
@@ -268,6 +269,9 @@ class Window(NamedTuple):
 def places_along(stops: Array, step_m: float) -> Iterator[tuple[float, int, Array]]:
     """Places along a route, `step_m` apart at most, and at each stop.
 
+    Farther apart on a route so long that none flies it, from a home at 0, 0 say: no more than
+    `_MOST_PLACES` and the stops.
+
     Args:
         stops: (n, 2 or more) latitude and longitude in degrees, and what else changes along a leg.
         step_m: horizontal.
@@ -275,6 +279,7 @@ def places_along(stops: Array, step_m: float) -> Iterator[tuple[float, int, Arra
     Yields:
         The distance along the route, the leg from 1, and the place, as the stops are given.
     """
+    step_m = max(step_m, _length_m(stops) / _MOST_PLACES)
     along_m = 0.0
     yield along_m, 1, stops[0]
     for leg, (start, end) in enumerate(pairwise(stops), start=1):
@@ -283,6 +288,11 @@ def places_along(stops: Array, step_m: float) -> Iterator[tuple[float, int, Arra
         for k, place in enumerate(places, start=1):
             yield along_m + k / len(places) * leg_m, leg, place
         along_m += leg_m
+
+
+def _length_m(stops: Array) -> float:
+    legs_m = horizontal_distance_m(stops[:-1, 0], stops[:-1, 1], stops[1:, 0], stops[1:, 1])
+    return float(legs_m.sum())
 
 
 def places_on_leg(start: Array, end: Array, step_m: float) -> Array:

@@ -84,9 +84,12 @@ class FlightPlan:
 
     def refuse_at_once(self) -> str:
         """The same before the flight, as far as it can be told then, or a start without fixes."""
-        too_low = begins_too_low(self.pack, self.camera, -float(self.route_ned_m[0, 2]))
-        if too_low:
-            return too_low
+        # The map first: of a home that is elsewhere by mistake heights tell nothing.
+        return self._refuse_by_map() or begins_too_low(
+            self.pack, self.camera, -float(self.route_ned_m[0, 2])
+        )
+
+    def _refuse_by_map(self) -> str:
         if self.home_known:
             return self._refuse(self._flown_ned_m)
         if self.about_home:
