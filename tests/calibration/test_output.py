@@ -58,6 +58,12 @@ def test_a_picture_of_what_the_camera_sees_needs_its_place_first_too(tmp_path: P
         look(options)
 
 
+def test_its_name_may_be_of_any_bytes(tmp_path: Path):
+    options = LookOptions("no such source", None, 50.0, 3600.0, "sift", tmp_path / "s\udcfc.png")
+    with pytest.raises(SourceError, match="no pictures at"):
+        look(options)
+
+
 def test_a_picture_that_finds_no_room_leaves_no_half_of_it(tmp_path: Path, monkeypatch):
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")

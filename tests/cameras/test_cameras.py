@@ -165,6 +165,14 @@ def test_a_stream_without_a_container_is_known_by_its_start(head, is_bare, tmp_p
     assert is_bare_stream(tmp_path / "a") == is_bare
 
 
+@pytest.mark.parametrize("name", ["a\udcfc.mp4", "rtsp://127.0.0.1:1/\udcfc"])
+def test_a_name_that_is_not_utf8_does_not_end_the_process(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a\udcfc.mp4").write_text("no video")
+    with pytest.raises(SourceError, match="not UTF-8"):
+        open_source(name)
+
+
 def test_what_is_no_video_or_not_there_says_so(tmp_path):
     (tmp_path / "a.mp4").write_text("no video")
     with pytest.raises(SourceError, match="unknown format, or damaged"):

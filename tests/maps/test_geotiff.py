@@ -179,6 +179,14 @@ def test_a_cut_off_raster_is_one_error_and_leaves_nothing(tmp_path: Path):
     assert [file.name for file in tmp_path.iterdir()] == ["cut.tif"]
 
 
+def test_a_name_that_is_not_utf8_is_one_line(tmp_path: Path):
+    (tmp_path / "t\udcfc.tif").touch()
+    with pytest.raises(MapError, match="not UTF-8; rename it"):
+        RasterFile(tmp_path / "t\udcfc.tif")
+    with pytest.raises(MapError, match="not UTF-8; rename it"):
+        read_heights(tmp_path / "t\udcfc.tif", (0.0, 0.0, 0.1, 0.1))
+
+
 @pytest.mark.parametrize("content", [b"", b"II*\0 no raster", b"hello"])
 def test_what_is_no_raster_is_refused(tmp_path: Path, content: bytes):
     (tmp_path / "x.tif").write_bytes(content)

@@ -14,6 +14,7 @@ from map_samples import ORIGIN_PX, ZOOM, SiftStub, small_pack, textured
 from vwnav.errors import MapError, ModelError
 from vwnav.geometry.geodesy import Window, lat_lon_from_mercator_px
 from vwnav.maps.pack import MapPack
+from vwnav.maps.schema import is_pack
 
 X, Y = ORIGIN_PX
 
@@ -98,6 +99,14 @@ def test_an_image_without_end_is_refused(sift_pack: MapPack, window):
         sift_pack.image(ZOOM, *window)
     with pytest.raises(ValueError, match="levels"):
         sift_pack.image(3, 0, 0, 5, 5)
+
+
+def test_a_name_of_any_bytes_can_be_opened(sift_pack_file: Path, tmp_path: Path):
+    old = tmp_path / "m\udcfc 100%?#.mbtiles"  # in Latin-1, from an old stick
+    shutil.copy(sift_pack_file, old)
+    with MapPack.open(old) as pack:
+        assert pack.levels
+    assert is_pack(old)
 
 
 def test_places_on_the_imagery_are_covered_and_others_are_not(sift_pack: MapPack):

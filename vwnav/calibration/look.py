@@ -101,8 +101,13 @@ def look(options: LookOptions) -> None:
 
 
 def _check_drawable(path: Path) -> None:
-    if not (path.parent.is_dir() and cv2.haveImageWriter(str(path))):
+    if not (path.parent.is_dir() and _has_writer(path.suffix)):
         raise SourceError(f"cannot write {path}: give a .jpg or .png in a folder that exists")
+
+
+def _has_writer(suffix: str) -> bool:
+    """Never asked of a whole name: OpenCV ends the process at one that is not UTF-8."""
+    return suffix.isascii() and bool(cv2.haveImageWriter(f"picture{suffix}"))
 
 
 def _watch(source: FrameSource, seconds: float, light: HeldLight) -> Footage:

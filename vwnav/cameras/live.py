@@ -19,7 +19,7 @@ from vwnav.cameras.light.v4l2 import EXPOSURE_UNIT_S, V4l2LightControls
 from vwnav.cameras.modes import mode_of
 from vwnav.cameras.stream_times import StreamTimes
 from vwnav.cameras.v4l2_crop import seen_part
-from vwnav.cameras.video_file import quieten_decoder
+from vwnav.cameras.video_file import for_opencv, quieten_decoder
 from vwnav.errors import SourceError
 from vwnav.geometry.sensor_mode import SensorMode
 from vwnav.types import Frame
@@ -198,7 +198,7 @@ class V4l2Grabber:
         self._device = device
         self._light: V4l2LightControls | None = None
         os.environ.setdefault(_V4L2_TIMEOUT, f"{SILENT_S:.0f}")
-        self._video = cv2.VideoCapture(device, cv2.CAP_V4L2)
+        self._video = cv2.VideoCapture(for_opencv(device), cv2.CAP_V4L2)
         if not self._video.isOpened():
             raise SourceError(
                 f"cannot open the camera {device}: is it plugged in, free, and are you in the "
@@ -320,7 +320,7 @@ class StreamGrabber:
             cv2.CAP_PROP_READ_TIMEOUT_MSEC,
             round(1e3 * SILENT_S),
         ]
-        self._video = cv2.VideoCapture(url, cv2.CAP_FFMPEG, limits)
+        self._video = cv2.VideoCapture(for_opencv(url), cv2.CAP_FFMPEG, limits)
         if not self._video.isOpened():
             raise SourceError(f"cannot open the stream {url}: is the camera on and reachable?")
         self._video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)

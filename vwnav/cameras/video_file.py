@@ -31,6 +31,21 @@ def quieten_decoder() -> None:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
 
 
+def for_opencv(name: str) -> str:
+    """The name of a file, device or stream, as it is.
+
+    Raises:
+        SourceError: it is not written in UTF-8: OpenCV ends the process at one.
+    """
+    try:
+        name.encode()
+    except UnicodeEncodeError as error:
+        raise SourceError(
+            f"{name}: a name that is not UTF-8 cannot be opened; rename it"
+        ) from error
+    return name
+
+
 class VideoFile:
     """A `FrameSource` over a video file; `t_s` is the video's own time, from 0.
 
@@ -45,7 +60,7 @@ class VideoFile:
         self._cut_off, self._counted = is_cut_off(path), what_is_counted(path)
         quieten_decoder()
         # What stands before a colon FFmpeg takes for a protocol: a date and time, say.
-        self._video = cv2.VideoCapture(str(path.absolute()), cv2.CAP_FFMPEG)
+        self._video = cv2.VideoCapture(for_opencv(str(path.absolute())), cv2.CAP_FFMPEG)
         if not self._video.isOpened():
             why = "the file ends too early" if self._cut_off else "unknown format, or damaged"
             raise SourceError(f"{path} is not a video that can be opened: {why}")

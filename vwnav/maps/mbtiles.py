@@ -1,6 +1,7 @@
 """The file of a pack: opening, checking, and reading single rows of it."""
 
 import json
+import os
 import re
 import sqlite3
 import zlib
@@ -75,7 +76,7 @@ def open_database(path: Path) -> sqlite3.Connection:
     """
     _check_file(path)
     # Immutable: no lock files beside it, works from read-only media.
-    uri = f"file:{quote(str(path.resolve()))}?mode=ro&immutable=1"
+    uri = f"file:{quote(os.fsencode(path.resolve()))}?mode=ro&immutable=1"
     try:
         connection = sqlite3.connect(uri, uri=True, check_same_thread=False)
     except sqlite3.Error as error:

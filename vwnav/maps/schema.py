@@ -1,6 +1,7 @@
 """The tables of a pack: MBTiles 1.3 and, beside it in the same file, what is vwnav's own."""
 
 import hashlib
+import os
 import sqlite3
 from pathlib import Path
 from typing import Literal, get_args
@@ -61,7 +62,7 @@ def is_pack(path: Path) -> bool:
     with path.open("rb") as file:
         if file.read(len(SQLITE_MAGIC)) != SQLITE_MAGIC:
             return False
-    connection = sqlite3.connect(f"file:{quote(str(path.resolve()))}?mode=ro", uri=True)
+    connection = sqlite3.connect(f"file:{quote(os.fsencode(path.resolve()))}?mode=ro", uri=True)
     try:
         query = "SELECT COUNT(*) FROM sqlite_master WHERE name = 'vwnav_metadata'"
         return bool(connection.execute(query).fetchone()[0])

@@ -55,6 +55,7 @@ class RasterFile:
         """
         if not path.is_file():
             raise MapError(f"{path}: no such file")
+        _check_name(path)
         try:
             with warnings.catch_warnings():
                 # Said below, in one line with what to do about it.
@@ -184,6 +185,7 @@ def read_heights(path: Path, bounds: Bounds) -> HeightGrid:
     lat, lon = np.meshgrid(
         np.linspace(north, south, rows), np.linspace(west, east, columns), indexing="ij"
     )
+    _check_name(path)
     try:
         with rasterio.open(path) as dataset:
             heights = _heights_at(path, dataset, lat, lon)
@@ -282,3 +284,10 @@ def _named_crs(crs: str | None) -> CRS | None:
 
 def _line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
+
+
+def _check_name(path: Path) -> None:
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise MapError(f"{path}: rasterio opens no name that is not UTF-8; rename it") from error
