@@ -5,9 +5,10 @@ import subprocess
 import sys
 
 import pytest
+from rich.console import Console
 
 from vwnav.safety.check import Check
-from vwnav.screen import ReadinessTable, print_rows, print_table
+from vwnav.screen import ReadinessTable, check_table, print_rows, print_table
 
 SAYS_ON = """
 import sys
@@ -59,6 +60,15 @@ def test_what_stands_in_brackets_is_shown_as_it_is(capsys):
     shown = capsys.readouterr().out.replace("\n", "")
     assert shown.count("[old]") == shown.count("[@30]") == 4
     assert "[red]" in shown
+
+
+def test_what_is_wider_than_the_terminal_is_not_cut(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    path = f"/flights/{'x' * 60}/run"
+    print_table("fly", [("results in", path)])
+    Console(file=sys.stdout).print(check_table([Check("COM_OBL_RC_ACT_" * 3, "WARN", path)]))
+    shown = capsys.readouterr().out
+    assert (shown.count("x"), shown.count("R"), "…" in shown) == (120, 4, False)
 
 
 def test_of_the_readiness_list_only_what_changed_is_shown_again(capfd):

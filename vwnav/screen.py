@@ -83,7 +83,7 @@ def print_table(title: str, rows: list[tuple[str, str]]) -> None:
     """The table at the end of a run, on stdout."""
     table = Table(title=Text(title), show_header=False, title_justify="left")
     table.add_column(style="bold")
-    table.add_column(justify="right")
+    table.add_column(justify="right", overflow="fold")  # a path that is cut leads nowhere
     for name, value in rows:
         table.add_row(Text(name), Text(value))
     Console(file=sys.stdout, highlight=False).print(table)
@@ -110,6 +110,8 @@ _COLOURS = {"PASS": "green", "WARN": "yellow", "FAIL": "red"}
 def check_table(checks: Iterable[Check]) -> Table:
     """The readiness list as a table."""
     table = Table(show_header=False)
+    for _ in range(3):  # what is cut at a narrow terminal's edge may be a parameter's name
+        table.add_column(overflow="fold")
     for check in checks:
         verdict = Text(check.verdict, style=_COLOURS[check.verdict])
         table.add_row(verdict, Text(check.name), Text(check.detail))
