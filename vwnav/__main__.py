@@ -160,7 +160,7 @@ def _complain(error: OSError) -> None:
     if error.filename is None and error.errno not in (errno.EPIPE, *_NO_ROOM):
         raise error
     if error.errno != errno.EPIPE:
-        what = error.filename or ("standard output" if _is_stuck() else "a file or standard output")
+        what = error.filename or ("standard output" if _is_stuck() else "a file")
         print(f"vwnav: {what}: {error.strerror}", file=sys.stderr)
     # What it could not take must not be tried again on the way out.
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
