@@ -41,15 +41,15 @@ _LINK_TAKEN = "a watchdog has that link: end its vwnav first, which flies or get
 def doctor(
     map_path: Path | None = typer.Option(None, "--map", help="Map pack to check."),
     route: Path | None = typer.Option(None, help="Route to check against the map."),
-    route_frame: Literal["local", "global"] = typer.Option(
-        "local", help="Text routes: local (north, east, height in m) or global (lat, lon, height)."
-    ),
     camera: Path | None = typer.Option(None, help="Camera calibration to check."),
     video: str | None = typer.Option(None, help="Camera to open: /dev/video0, rtsp://, a file."),
     connection: str | None = typer.Option(None, help="Autopilot link, e.g. udpin://0.0.0.0:14540."),
     features: FeaturesOption = None,
     model: ModelOption = None,
     config_path: ConfigOption = None,
+    route_frame: Literal["local", "global"] = typer.Option(
+        "local", help="Text routes: local (north, east, height in m) or global (lat, lon, height)."
+    ),
     as_json: bool = typer.Option(False, "--json", help="One JSON object on stdout."),
 ) -> None:
     """Check machine, model, and whatever is named: map, route, camera, autopilot.
