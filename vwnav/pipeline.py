@@ -186,6 +186,7 @@ class Pipeline:
                 self._ekf.handle(self._odometry.counted_attitude(frame.t_s))
                 if isinstance(motion, Rejected):
                     self._ekf.handle(Untracked(frame.t_s))
+                    self._first_fix.broke()
             if isinstance(motion, Rejected):
                 self._mount.broke(frame.t_s)
                 return motion
@@ -265,8 +266,7 @@ class Pipeline:
         if not attempt.future.cancel():
             attempt.localizer.give_up()
         self._count(attempt.localizer, succeeded=False)
-        why = f"given up after {t_s - attempt.t_s:.0f} s"
-        return Rejected(attempt.t_s, RejectReason.GIVEN_UP, why)
+        return Rejected(attempt.t_s, RejectReason.GIVEN_UP, f"after {t_s - attempt.t_s:.0f} s")
 
     def _count(self, localizer: Localizing, succeeded: bool) -> None:
         self.attempts += 1

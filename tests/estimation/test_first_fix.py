@@ -6,7 +6,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vwnav.estimation.beginning.first_fix import PRIOR_SIGMAS, FirstFix
+from vwnav.estimation.beginning.first_fix import (
+    DOUBTED_AFTER,
+    PRIOR_SIGMAS,
+    TRUSTED_AFTER,
+    FirstFix,
+)
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
@@ -120,3 +125,44 @@ def test_what_a_person_has_told_is_replayed_as_that():
     assert decode(encode(start)).by_person
     of_before = {name: value for name, value in encode(start).items() if name != "by_person"}
     assert not decode(of_before).by_person
+
+
+def begun(fixes: int) -> FirstFix:
+    """A beginning that has had so many fixes since."""
+    first = FirstFix()
+    first.began()
+    for _ in range(fixes):
+        first.fused()
+    return first
+
+
+def test_a_place_is_doubted_where_the_video_broke_off_and_nothing_more_is_found():
+    """Where a recording was paused it went on 253 m away, at a sigma of some metres, to its end."""
+    first = begun(TRUSTED_AFTER)
+    for _ in range(10):
+        first.missed()
+    assert not first.doubted
+    first.broke()
+    for _ in range(DOUBTED_AFTER):
+        first.missed()
+    assert first.doubted
+
+
+def test_images_that_show_nothing_are_not_held_against_a_place():
+    """A black stretch: none can be followed, and none is found."""
+    first = begun(TRUSTED_AFTER)
+    for _ in range(30):
+        first.broke()
+        first.missed()
+    assert not first.doubted
+    for _ in range(TRUSTED_AFTER):
+        first.fused()
+    assert not first.young
+
+
+def test_a_beginning_that_was_never_trusted_is_doubted_as_soon_broken_or_not():
+    first = begun(TRUSTED_AFTER - 1)
+    for _ in range(DOUBTED_AFTER):
+        first.broke()
+        first.missed()
+    assert first.doubted

@@ -2,7 +2,8 @@
 
 One image of ground that repeats may be found at a wrong place with as much agreement as at the
 right one. The next image shows other ground; around what was found it is found again, or nothing
-was. A beginning that finds nothing more soon after is doubted, and searched for again.
+was. A beginning that finds nothing more soon after is doubted, and searched for again. So is a
+place of a video that broke off: it may go on anywhere, where its recording was paused or cut.
 """
 
 import math
@@ -44,6 +45,7 @@ class FirstFix:
         self._then: Estimate | None = None  # at its exposure
         self._misses = 0
         self._fixes = 0  # since a beginning that a search found
+        self._trusted = False  # it has had enough of them, once
         self.doubted = False
         self.young = False
 
@@ -94,13 +96,22 @@ class FirstFix:
 
     def began(self) -> None:
         """A filter began at what was confirmed: nothing else says where it is."""
-        self._fixes, self.doubted, self.young = 0, False, True
+        self._fixes, self.doubted, self.young, self._trusted = 0, False, True, False
 
     def fused(self) -> None:
         """A fix was fused by a filter whose beginning is young."""
         self._misses = 0
         self._fixes += 1
         self.young = self._fixes < TRUSTED_AFTER
+        self._trusted = self._trusted or not self.young
+
+    def broke(self) -> None:
+        """An image of a video alone could not be followed: what is seen since may be anywhere.
+
+        It is as if it had begun there; as long as none can be followed none is held against it.
+        """
+        if self._trusted:
+            self._fixes, self._misses, self.young = 0, 0, True
 
     def missed(self) -> None:
         """An image gave no fix."""
