@@ -97,6 +97,11 @@ def pose_from_rectified(
     # Of north and east: the fit's, in metres, and the errors that no match shows.
     to_ne = np.array([[0.0, -1.0 / px_per_m[1]], [1.0 / px_per_m[0], 0.0]])
     unseen_m2 = (agl_m * errors.sigma_tilt_rad) ** 2 + errors.sigma_georeference_m**2
+    if not homography:
+        # A lean l maps x to x + (l x) x / agl. A similarity over what lies at m has the place, the
+        # scale and the turn of there: it maps 0 to (l m^2 / 2 - (l m) m) / agl, l m^2 / 2 agl off.
+        off_m = float(np.linalg.norm(uv_rect.mean(axis=0) - view.nadir_uv)) * view.m_per_px
+        unseen_m2 += (0.5 * errors.sigma_lean_rad * off_m**2 / agl_m) ** 2
     return MapPose(
         nadir_px=nadir_px,
         covariance_ne_m2=np.asarray(to_ne @ covariance_px2 @ to_ne.T + unseen_m2 * np.eye(2)),
