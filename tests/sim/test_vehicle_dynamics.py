@@ -14,7 +14,7 @@ from vwnav.errors import ConfigError
 from vwnav.sim.config import VehicleConfig
 from vwnav.sim.multirotor.airframe import Airframe, rotation_of, turned
 from vwnav.sim.multirotor.controller import quat_of_euler
-from vwnav.sim.multirotor.sensors import Sensors, pressure_hpa
+from vwnav.sim.multirotor.sensors import QUIET, Sensors, pressure_hpa
 from vwnav.sim.multirotor.wind import Wind
 from vwnav.sim.px4.modes import NavState
 from vwnav.sim.relief import Relief
@@ -66,7 +66,7 @@ def test_on_a_hill_it_comes_to_rest_on_the_hill_and_its_rangefinder_meets_it(
     body = Airframe(0.0, 0.17, relief.height_m)
     body.n, body.e, body.d = north_m, east_m, -relief.height_m(north_m, east_m) - 30.0
     body.rotation = rotation_of(*quat_of_euler(0.2, -0.15, 1.0))
-    distance_m = Sensors(random.Random(1), 0.0, 0.0, 0.0).range_m(body)
+    distance_m = Sensors(random.Random(1), QUIET, 0.0, 0.0, 0.0).range_m(body)
     assert distance_m is not None
     north, east, down = (distance_m * body.rotation[i] for i in (2, 5, 8))
     assert -body.d - down == pytest.approx(relief.height_m(north_m + north, east_m + east), abs=0.1)
@@ -133,7 +133,7 @@ def test_gusts_have_the_strength_asked_for() -> None:
 def test_the_barometer_drifts_by_what_was_asked_in_ten_minutes() -> None:
     ends = []
     for seed in range(60):
-        sensors = Sensors(random.Random(seed), 0.0, 2.0, 0.0)
+        sensors = Sensors(random.Random(seed), QUIET, 0.0, 2.0, 0.0)
         body = Airframe(0.0, 0.17, Relief().height_m)
         ends.append([sensors.baro_height_m(body, 1.0) for _ in range(600)][-1])
     assert statistics.pstdev(ends) == pytest.approx(2.0, rel=0.25)

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 from vwnav.sim.multirotor.airframe import Airframe
 
-_GYRO_NOISE_RAD_S = 0.004
 _WILD_M = 60.0  # what sunlight or dust makes a rangefinder say, at most
 _RANGE_STEPS = 4  # to where the rangefinder's ray meets a ground that is not level
 _GYRO_BIAS_RAD_S = 0.003
-_ACCEL_NOISE_M_S2 = 0.06
 _ACCEL_BIAS_M_S2 = 0.04
 _BARO_NOISE_M = 0.12
 _COMPASS_NOISE_RAD = 0.015
@@ -30,10 +28,24 @@ class Imu:
     az: float
 
 
+@dataclass(frozen=True, slots=True)
+class ImuScatter:
+    """One sigma of a sample's noise about and along forward, right and down."""
+
+    gyro_rad_s: tuple[float, float, float]
+    accel_m_s2: tuple[float, float, float]
+
+
+QUIET = ImuScatter((0.004, 0.004, 0.004), (0.06, 0.06, 0.06))
+# PX4's own simulator (SIH) of the 1.16 era once it flies, as its HIGHRES_IMU is recorded.
+OF_SIH_1_16 = ImuScatter((0.12, 0.057, 0.025), (0.36, 1.29, 0.98))
+
+
 class Sensors:
     """Draws measurements from the airframe; one object per vehicle, seeded.
 
     Args:
+        in_flight: the IMU's noise in the air; on the ground it is quiet.
         noise: scale of inertial, barometer and compass noise and of the inertial biases.
         baro_drift_m: one sigma of the barometer's random walk after ten minutes.
         heading_bias_rad: constant error of the compass.
@@ -52,9 +64,15 @@ class Sensors:
     """
 
     def __init__(
-        self, rng: random.Random, noise: float, baro_drift_m: float, heading_bias_rad: float
+        self,
+        rng: random.Random,
+        in_flight: ImuScatter,
+        noise: float,
+        baro_drift_m: float,
+        heading_bias_rad: float,
     ) -> None:
         self._gauss, self._random = rng.gauss, rng.random
+        self._in_flight = in_flight
         self._noise = noise
         self._walk_m = baro_drift_m / math.sqrt(_TEN_MINUTES_S)
         self.heading_bias_rad = heading_bias_rad
@@ -72,15 +90,16 @@ class Sensors:
     def imu(self, body: Airframe) -> Imu:
         """Gyroscope and accelerometer now."""
         gauss, gyro, accel = self._gauss, self.gyro_bias_rad_s, self._accel_bias
-        gyro_noise = _GYRO_NOISE_RAD_S * self._noise
-        accel_noise = _ACCEL_NOISE_M_S2 * self._noise
+        scatter = QUIET if body.on_ground else self._in_flight
+        p, q, r = (self._noise * sigma for sigma in scatter.gyro_rad_s)
+        x, y, z = (self._noise * sigma for sigma in scatter.accel_m_s2)
         return Imu(
-            body.p + gyro[0] + gauss(0.0, gyro_noise),
-            body.q + gyro[1] + gauss(0.0, gyro_noise),
-            body.r + gyro[2] + gauss(0.0, gyro_noise),
-            body.axb + accel[0] + gauss(0.0, accel_noise),
-            body.ayb + accel[1] + gauss(0.0, accel_noise),
-            body.azb + accel[2] + gauss(0.0, accel_noise),
+            body.p + gyro[0] + gauss(0.0, p),
+            body.q + gyro[1] + gauss(0.0, q),
+            body.r + gyro[2] + gauss(0.0, r),
+            body.axb + accel[0] + gauss(0.0, x),
+            body.ayb + accel[1] + gauss(0.0, y),
+            body.azb + accel[2] + gauss(0.0, z),
         )
 
     def baro_height_m(self, body: Airframe, dt_s: float) -> float:

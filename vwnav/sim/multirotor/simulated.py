@@ -13,7 +13,7 @@ from vwnav.sim.mavlink.command import Severity
 from vwnav.sim.multirotor.airframe import Airframe
 from vwnav.sim.multirotor.controller import Controller, attitude_of_force
 from vwnav.sim.multirotor.inertial_filter import InertialFilter
-from vwnav.sim.multirotor.sensors import Imu, Sensors
+from vwnav.sim.multirotor.sensors import OF_SIH_1_16, QUIET, Imu, Sensors
 from vwnav.sim.multirotor.wind import Wind
 from vwnav.sim.scripted_pilot import ScriptedPilot
 
@@ -57,7 +57,9 @@ class SimulatedMultirotor(ABC):
         )
         self.body = Airframe(heading_rad, drag_per_s, config.relief.height_m)
         self.wind = Wind(config.wind_m_s, config.wind_from_deg, config.gust_sigma_m_s, rng)
-        self.sensors = Sensors(rng, config.imu_noise, config.baro_drift_m, bias_rad)
+        in_flight = OF_SIH_1_16 if config.manners == "px4-1.16" else QUIET
+        noise, drift_m = config.imu_noise, config.baro_drift_m
+        self.sensors = Sensors(rng, in_flight, noise, drift_m, bias_rad)
         self.texts: deque[tuple[int, Severity, str]] = deque(maxlen=texts)
         self._texts_said = 0
         self.home: HomePosition | None = None
