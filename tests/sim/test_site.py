@@ -1,6 +1,7 @@
 """The generated site: the same everywhere and every time, and hard in the way it is meant to be."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,10 +11,12 @@ from hypothesis import strategies as st
 
 from vwnav.sim.pairs import write_pairs
 from vwnav.sim.scenery.drawing import Canvas
-from vwnav.sim.scenery.landscape import inset, rectangle, to_ne
+from vwnav.sim.scenery.landscape import Plant, inset, rectangle, to_ne
 from vwnav.sim.scenery.layout import polygon_area_m2
+from vwnav.sim.scenery.looks import flight_look
 from vwnav.sim.scenery.markings import white_marks
 from vwnav.sim.scenery.noise import NedWindow, NoiseBank
+from vwnav.sim.scenery.trees import paint_plant
 from vwnav.sim.site import FIRST_TRAINING_SEED, Site, generator_fingerprint
 
 angles = st.floats(-3.1, 3.1)
@@ -211,6 +214,19 @@ def test_noise_is_one_field_seen_through_every_window() -> None:
     large = NoiseBank(NedWindow(30.0, -50.0, 300, 300, 0.1), 3).fractal(12.8, 0.1, 0.8, 5)
     part = NoiseBank(NedWindow(20.0, -45.0, 120, 90, 0.1), 3).fractal(12.8, 0.1, 0.8, 5)
     np.testing.assert_allclose(large[100:190, 50:170], part, atol=0.02)
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_roughest_crown_has_no_hole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Texture 4 sigmas below its mean made pixels of it no number: black on the map."""
+    canvas = Canvas(NedWindow(10.0, -10.0, 40, 40, 0.5), 1)
+    shape = canvas.bgr.shape[:2]
+    canvas.bgr[:] = 100.0
+    rough = SimpleNamespace(fractal=lambda *_: np.full(shape, -4.0, np.float32))
+    monkeypatch.setattr(canvas, "noise", rough)
+    paint_plant(canvas, Plant(0.0, 0.0, 1.0, 4.0, "broadleaf", 3), flight_look(1))
+    assert np.isfinite(canvas.bgr).all()
+    assert (canvas.bgr != 100.0).any()
 
 
 def test_windows_that_make_no_image_are_refused(site: Site) -> None:

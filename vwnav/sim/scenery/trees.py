@@ -61,7 +61,7 @@ def paint_plant(canvas: Canvas, plant: Plant, look: Look) -> None:
     north = (window.north_m()[rows] - plant.north_m).astype(np.float32)[None, :, None]
     east = (window.east_m()[cols] - plant.east_m).astype(np.float32)[None, None, :]
     texture = canvas.noise.fractal(1.6, 0.1, 0.95, 9)[rows, cols]
-    rough = 1.0 + 0.28 * texture[None] / max(plant.radius_m, 1.0) ** 0.5
+    rough = np.maximum(1.0 + 0.28 * texture[None] / max(plant.radius_m, 1.0) ** 0.5, 0.0)
     blobs = _blobs(plant).astype(np.float32)
     value, cover = _crown(blobs, north, east, rough, look, window.m_per_px)
     rng = np.random.default_rng(plant.seed)
