@@ -124,9 +124,11 @@ FLIES = """
 import sys, threading, time
 from contextlib import ExitStack
 from vwnav.machine.never_waits import stderr_that_never_waits
+from vwnav.machine.priority import go_first
 from vwnav.safety.check import Check
 from vwnav.screen import LiveLine, ReadinessTable, say
 
+go_first()  # as a flight does: what is measured is who waits, not who is held up by others
 longest_s = {}
 
 def loop(name, act):
@@ -153,8 +155,9 @@ with open(sys.argv[1], "w") as told:
 """
 
 
-def longest_waits_s(told: Path, stops: str) -> dict[str, float]:
-    """Of each thread's acts, with a terminal that stands still from its first words on."""
+@pytest.mark.parametrize("stops", ["Ctrl-S", "is never read"])
+def test_a_terminal_that_stands_still_holds_up_no_thread_of_a_flight(tmp_path, stops):
+    told = tmp_path / "longest"
     pid, master = pty.fork()
     if pid == 0:
         os.environ["TERM"] = "xterm"
@@ -168,18 +171,9 @@ def longest_waits_s(told: Path, stops: str) -> dict[str, float]:
             os.kill(pid, signal.SIGKILL)
         time.sleep(0.05)
     os.close(master)
-    return eval(told.read_text())
-
-
-@pytest.mark.parametrize("stops", ["Ctrl-S", "is never read"])
-def test_a_terminal_that_stands_still_holds_up_no_thread_of_a_flight(tmp_path, stops):
-    """Who waits for it does so each time; a busy machine holds a thread up now and then."""
-    for attempt in range(3):
-        longest_s = longest_waits_s(tmp_path / f"longest_{attempt}", stops)
-        assert set(longest_s) == {"say", "line", "checks"}
-        if max(longest_s.values()) < MOST_S:
-            return
-    pytest.fail(f"{longest_s}")
+    longest_s = eval(told.read_text())
+    assert set(longest_s) == {"say", "line", "checks"}
+    assert max(longest_s.values()) < MOST_S, longest_s
 
 
 def test_a_program_whose_log_is_not_read_ends_all_the_same(tmp_path):

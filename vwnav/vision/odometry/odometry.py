@@ -237,8 +237,8 @@ class Odometry:
         rays1 = self._camera.bearings(uv1[kept].astype(np.float64))
         if view.flow is not None:
             rays1 = as_at_once(rays1, uv1[kept], self._camera, view.flow)
-        nadir, focal_px = rays1 / rays1[:, 2:], float(self._camera.K[0, 0])
-        seen = Sightings(keyframe.rays[kept], nadir, view.R_ned_camera, focal_px)
+        rays1, focal_px = rays1 / rays1[:, 2:], float(self._camera.K[0, 0])
+        seen = Sightings(keyframe.rays[kept], rays1, view.R_ned_camera, focal_px)
         prior = self._prior(keyframe.view, view)
         motion = fit_motion(seen, prior, config.threshold_px)
         count = 0 if motion is None else int(np.count_nonzero(motion.inliers))
