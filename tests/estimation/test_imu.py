@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from scipy.spatial.transform import Rotation
@@ -317,6 +317,32 @@ def test_what_was_guessed_beyond_the_newest_sample_makes_no_negative_variance():
     imu = preintegrated(guessed, history.until(newest_s + 0.0905))
     assert imu.velocity_variance_m2_s2 >= 0.0
     assert imu.turn_variance_rad2 >= 0.0
+
+
+@given(
+    st.lists(
+        st.tuples(st.floats(0.001, 0.08), st.floats(0.002, 0.03), st.floats(0.0, 0.09)),
+        min_size=5,
+        max_size=30,
+    )
+)
+@example([(0.02, 0.02, 0.0), (0.02, 0.02, 0.09), (0.09, 0.002, 0.0)] * 5)
+def test_no_clock_of_an_imu_makes_a_covariance_that_is_none(steps):
+    """What was guessed too far is taken back: noise was as well, and no height had a sigma."""
+    attitudes = level_attitudes()
+    imu = ImuHistory(attitudes, 10.0)
+    context = Context(EkfConfig(), attitudes, imu)
+    x, sure, t_s = np.zeros(States.SIZE), 1e-6 * np.eye(States.SIZE), 0.0
+    x[States.VELOCITY], x[States.DRAG] = (20.0, 0.0, 0.0), context.config.drag_per_s
+    state = FilterState(0.0, x, sure, True, True, 0.0, 0.0)
+    for later_s, span_s, ahead_s in steps:
+        t_s += later_s
+        imu.add(ImuSample(t_s, AT_REST, np.zeros(3), span_s))
+        if t_s + ahead_s <= state.t_s:
+            continue
+        state = predict(state._replace(P=sure), t_s + ahead_s, context)
+        scale = np.sqrt(np.diag(state.P))
+        assert np.linalg.eigvalsh(state.P / np.outer(scale, scale))[0] > -1e-9
 
 
 def test_a_sample_that_is_refused_after_a_slip_counts_it_no_second_time():

@@ -19,6 +19,7 @@ from vwnav.geometry.rotations import quat_from_rotation, rotation_from_euler
 from vwnav.types import Attitude, ImuSample
 
 PERIOD_S = 0.02
+GRAVITY = np.array([0.0, 0.0, -9.8])
 QUARTER_ABOUT_FORWARD = rotation_from_euler(math.pi / 2, 0.0, 0.0)
 
 
@@ -70,9 +71,36 @@ def test_an_imu_that_comes_right_is_used_again():
 
 def test_at_the_bound_it_is_not_said_again_and_again():
     ekf, said = listening()
-    for i in range(0, 3000, 30):  # 2.9 and 3.1 m/s^2 too little, in turns
-        verdicts(ekf, 30, (0.0, 0.0, -6.9 if i % 60 else -6.7), start=i)
+    for i in range(0, 3000, 30):  # 2.9 and 3.2 m/s^2 too little, in turns
+        verdicts(ekf, 30, (0.0, 0.0, -6.9 if i % 60 else -6.6), start=i)
     assert sum("IMU" in each for each in said) == 1
+
+
+@pytest.mark.parametrize("sigma_m_s2", [2.0, 6.0])
+def test_one_that_is_shaken_feels_gravity_where_it_is(sigma_m_s2):
+    """By a propeller out of balance: chance is no other gravity."""
+    ekf, said = listening()
+    for i, shaken in enumerate(np.random.default_rng(1).normal(0.0, sigma_m_s2, (3000, 3))):
+        verdicts(ekf, 1, shaken + GRAVITY, start=i)
+    assert said == []
+
+
+@pytest.mark.parametrize("sigma_m_s2", [12.0, 20.0])
+def test_one_that_is_shaken_too_much_is_given_up_once_and_taken_again_once(sigma_m_s2):
+    """At 15 m/s^2 it had been given up and taken again 40 times in 45 s, its gravity to blame."""
+    ekf, said = listening()
+    for i, shaken in enumerate(np.random.default_rng(1).normal(0.0, sigma_m_s2, (3000, 3))):
+        verdicts(ekf, 1, shaken + GRAVITY, start=i)
+    assert ["shaken too much" in each for each in said] == [True]
+    assert verdicts(ekf, 2000, (0.0, 0.0, -9.8), start=3000)[-1] is Verdict.FUSED
+    assert ["again: it is used" in each for each in said] == [False, True]
+
+
+def test_one_that_is_shaken_and_feels_gravity_elsewhere_is_found_out():
+    ekf, said = listening()
+    for i, shaken in enumerate(np.random.default_rng(1).normal(0.0, 6.0, (500, 3))):
+        verdicts(ekf, 1, shaken - GRAVITY, start=i)
+    assert "gravity" in said[0]
 
 
 def stream_of(seed: int) -> MeasurementStream:

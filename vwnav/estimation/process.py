@@ -276,7 +276,8 @@ def _transition(
     turns with a wrong heading.
     """
     config, dt_s = context.config, step.dt_s
-    flown_m = math.hypot(*x[States.VELOCITY_NE].tolist()) * flown_s
+    # Of what was guessed beyond the newest sample some is taken back: nothing walks backwards.
+    flown_m = math.hypot(*x[States.VELOCITY_NE].tolist()) * max(flown_s, 0.0)
     # Where an IMU was heard a tilt error stays in NED but for what that says; else it turns with
     # the body. Against such a model the gyro could not hold it: 2.5 degrees were 1.1 after a turn.
     F_tilt = math.exp(-dt_s / config.tilt_time_s) * level_axes(step.turned_rad).T

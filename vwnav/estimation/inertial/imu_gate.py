@@ -3,6 +3,9 @@
 One that is mounted otherwise than the autopilot was told, or broken, tells of accelerations and
 turns that nobody flies. None of it is to be believed until it comes right.
 
+One that is shaken may seem to feel it elsewhere by chance; one that is shaken too much to tell
+anything is not used either.
+
 An accelerometer that is off by less, a few m/s^2, is known by its witnesses. The ways that images
 tell contradict it, which may be the images' fault; but the map still has the aircraft where they
 do, and it feels what neither the air at this speed does to it nor a climb that anybody saw.
@@ -15,6 +18,7 @@ import numpy as np
 
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2, AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.inertial.shaking import Shaking
 from vwnav.estimation.states import Innovation, Verdict
 from vwnav.geometry.rotations import rotation_from_quat
 from vwnav.types import Array, ImuSample
@@ -41,6 +45,10 @@ _CONTRADICTS = (
     "the autopilot's IMU is not used: its accelerometer is off by {:.1f} m/s^2, as pictures and "
     "map show; have it checked"
 )
+_SHAKEN = (
+    "the autopilot's IMU is not used: it is shaken too much to tell how the aircraft flies; "
+    "balance the propellers"
+)
 _AGREES = "the autopilot's IMU feels gravity where its attitude has it again: it is used"
 
 
@@ -60,6 +68,7 @@ class ImuGate:
         self._body = _Average(_SHORT_S)
         self._ned = _Average(_SHORT_S)
         self._ned_long = _Average(_LONG_S)
+        self._shaking = Shaking()
         self._newest_s = math.inf
         self.fixes_s: deque[float] = deque(maxlen=_LEAST_FIXES)
         self._unexplained_m_s2 = 0.0  # by the air, of the newest drag
@@ -77,6 +86,8 @@ class ImuGate:
         """What a change has come to."""
         if not self.lost:
             return _AGREES
+        if self._shaking.too_much:
+            return _SHAKEN
         return (_CONTRADICTS if self._is_off else _LOST).format(self._off_m_s2 or self.off_m_s2)
 
     @property
@@ -85,15 +96,19 @@ class ImuGate:
 
     def take(self, sample: ImuSample) -> Verdict:
         """Put a sample into the history, or say why not; what was believed before goes with it."""
-        if not self._imu.believes(sample):
-            return Verdict.GATED
+        believed = self._imu.believes(sample)
+        self._shaking.take(sample)
         held = self._attitudes.held(sample.t_s)
-        if held.known:
-            changed = self._learn(sample, held.quat_wxyz)
-            if changed and self.lost:
-                self._imu.forget()
-        if self.lost:
+        if believed and held.known:
+            self._average(sample, held.quat_wxyz)
+        lost = self._is_foreign() or self._shaking.too_much or self._is_off
+        if lost and not self.lost:
+            self._imu.forget()
+        self.lost = lost
+        if lost:
             return Verdict.DISTRUSTED
+        if not believed:
+            return Verdict.GATED
         return Verdict.FUSED if self._imu.add(sample) else Verdict.TOO_LATE
 
     def refused_ways(self, count: int, t_s: float) -> bool:
@@ -102,7 +117,8 @@ class ImuGate:
         off_m_s2 = max(self._unexplained_m_s2, climb_m_s2)
         proved = count >= _LEAST_WAYS and count * off_m_s2 >= _PROOF_M_S2
         placed = len(self.fixes_s) == _LEAST_FIXES and t_s - self.fixes_s[0] < _FIXES_S
-        if self.lost or off_m_s2 < _UNEXPLAINED_M_S2 or not (proved and placed):
+        least_m_s2 = max(_UNEXPLAINED_M_S2, self._shaking.chance_m_s2(_SHORT_S))
+        if self.lost or off_m_s2 < least_m_s2 or not (proved and placed):
             return False
         self._off_m_s2, self._off_s, self.lost = off_m_s2, t_s, True
         self._unexplained_m_s2 = 0.0  # no drag is compared until it is believed again
@@ -118,13 +134,14 @@ class ImuGate:
     def compare(self, explained_m_s2: Array, sigma_m_s2: float, t_s: float) -> None:
         """While it is not believed: with what it should feel across the thrust (2,)."""
         off_m_s2 = float(np.linalg.norm(self._body.value[:2] - explained_m_s2))
-        if off_m_s2 > _EXPLAINED_M_S2 + 2.0 * sigma_m_s2:
+        chance_m_s2 = self._shaking.chance_m_s2(_SHORT_S)
+        if off_m_s2 > _EXPLAINED_M_S2 + 2.0 * sigma_m_s2 + chance_m_s2:
             self._off_s = t_s
         elif t_s - self._off_s > _EXPLAINED_S:
             self._off_m_s2 = 0.0
 
-    def _learn(self, sample: ImuSample, quat_wxyz: Array) -> bool:
-        """Whether a sample, felt in an attitude (4,), has made a change of `lost`."""
+    def _average(self, sample: ImuSample, quat_wxyz: Array) -> None:
+        """Of what is felt in an attitude (4,)."""
         span_s = min(max(sample.t_s - self._newest_s, 0.0), _LONGEST_S)
         self._newest_s = sample.t_s
         force = np.minimum(np.maximum(sample.specific_force_m_s2, -_MOST_M_S2), _MOST_M_S2)
@@ -132,14 +149,16 @@ class ImuGate:
         self._body.add(force, span_s)
         self._ned.add(force_ned, span_s)
         self._ned_long.add(force_ned, span_s)
+
+    def _is_foreign(self) -> bool:
+        """Whether it feels gravity elsewhere, by more than chance."""
         share = _AGAIN if self.lost else 1.0
-        unpushed = _from_thrust_m_s2(self._body.value) > share * _UNPUSHED_M_S2
-        foreign = unpushed and self.off_m_s2 > share * _FOREIGN_M_S2
-        foreign |= self._ned_long.from_rest_m_s2 > share * _FOREIGN_LONG_M_S2
-        if self.lost == (foreign or self._is_off):
-            return False
-        self.lost = not self.lost
-        return True
+        chance_m_s2 = self._shaking.chance_m_s2(_SHORT_S)
+        unpushed = _from_thrust_m_s2(self._body.value) > share * _UNPUSHED_M_S2 + chance_m_s2
+        if unpushed and self.off_m_s2 > share * _FOREIGN_M_S2 + chance_m_s2:
+            return True
+        chance_m_s2 = self._shaking.chance_m_s2(_LONG_S)
+        return self._ned_long.from_rest_m_s2 > share * _FOREIGN_LONG_M_S2 + chance_m_s2
 
 
 class _Average:

@@ -99,6 +99,7 @@ INERTIAL = [
         after_s=15.0,
     ),
     flies_on("IMU shaken by a propeller out of balance", telemetry.imu_shaken(5.0, 0.2), 20.0),
+    flies_on("IMU shaken too much to be of use", telemetry.imu_shaken(15.0, 0.6), 20.0),
     Scenario(
         name="IMU mounted on its side",
         setup=setup(None),
