@@ -19,6 +19,7 @@ from vwnav.vision.config import OdometryConfig
 from vwnav.vision.odometry.odometry import Odometry
 
 AGL_M, SPEED_M_S, INTERVAL_S = 80.0, 8.0, 0.5
+SWAY_S = 4.0
 TRUSTED, LOST, AFTER = 14, 4, 6  # images before, in the loss, and after it
 SIZE_PX = 900
 CAMERA = Camera.from_hfov(320, 240, 70.0)
@@ -32,6 +33,7 @@ class Flight:
     climbs_m: float = 0.0
     images: int = LOST
     dark: bool = False
+    sways_deg: float = 0.0  # all the while, its camera with it
 
     @property
     def _lost(self) -> np.ndarray:
@@ -52,6 +54,17 @@ class Flight:
         """(n, 2): it flies where its nose points."""
         nose = np.column_stack([np.cos(self.headings_rad), np.sin(self.headings_rad)])
         return np.cumsum(SPEED_M_S * INTERVAL_S * nose, axis=0) - [70.0, 30.0]
+
+    @property
+    def rolls_rad(self) -> np.ndarray:
+        at_s = INTERVAL_S * np.arange(TRUSTED + self.images + AFTER)
+        return math.radians(self.sways_deg) * np.sin(math.tau * at_s / SWAY_S)
+
+    @property
+    def centres_ne_m(self) -> np.ndarray:
+        """(n, 2): what the image's centre shows, and what is told of a video alone."""
+        right = np.column_stack([-np.sin(self.headings_rad), np.cos(self.headings_rad)])
+        return self.places_ne_m - (self.agls_m * np.tan(self.rolls_rad))[:, None] * right
 
     def shows(self, number: int) -> bool:
         return not (self.dark and TRUSTED <= number < TRUSTED + self.images)
@@ -110,9 +123,16 @@ def flown(flight: Flight, field, pack, sift, most_fixes: int = 0) -> list[Row]:
         sift, None, pack, CAMERA, HOME, config, InlineExecutor(), lambda _: None
     ).pipeline
     rows = []
-    poses = zip(flight.places_ne_m, flight.headings_rad, flight.agls_m, strict=True)
-    for number, (place, yaw_rad, agl_m) in enumerate(poses):
-        rpy_deg = (0.0, 0.0, math.degrees(yaw_rad))
+    poses = zip(
+        flight.places_ne_m,
+        flight.centres_ne_m,
+        flight.rolls_rad,
+        flight.headings_rad,
+        flight.agls_m,
+        strict=True,
+    )
+    for number, (place, centre, roll_rad, yaw_rad, agl_m) in enumerate(poses):
+        rpy_deg = (math.degrees(roll_rad), 0.0, math.degrees(yaw_rad))
         frame = frame_at(field, *place, agl_m, rpy_deg=rpy_deg, rng=rng, camera=CAMERA)
         image = frame.image if flight.shows(number) else np.zeros_like(frame.image)
         step = pipeline.step(replace(frame, t_s=number * INTERVAL_S, index=number, image=image))
@@ -120,7 +140,7 @@ def flown(flight: Flight, field, pack, sift, most_fixes: int = 0) -> list[Row]:
             continue
         found = step.estimate
         yaw_found = euler_from_rotation(rotation_from_quat(found.quat_wxyz))[2]
-        off_m = float(np.hypot(*(found.position_ned_m[:2] - place)))
+        off_m = float(np.hypot(*(found.position_ned_m[:2] - centre)))
         turned = wrap_pi(yaw_found - yaw_rad)
         rows.append(Row(found, step.outcome, step.motion, off_m, turned, found.agl_m - agl_m))
     return rows
@@ -146,6 +166,16 @@ def test_what_sight_was_lost_of_is_found_again_and_never_claimed(flight, field, 
         assert row.off_m < 2.0
         assert abs(row.turned_rad) < math.radians(2.0)
         assert abs(row.agl_off_m) < 3.0
+
+
+def test_the_centre_is_followed_of_a_camera_that_is_fixed_to_a_swaying_body(
+    field, field_pack, sift
+):
+    """It was 41 m off at 18.7 sigmas, and two fixes of three were refused."""
+    rows = flown(Flight(sways_deg=5.0), field, field_pack, sift)
+    assert max(row.off_m for row in rows) < 2.0
+    assert max(row.worst_sigmas for row in rows) < 3.0
+    assert all(isinstance(row.outcome, MapFix) for row in rows)
 
 
 def test_text_that_is_drawn_into_all_images_is_no_ground_that_stands_still(field):

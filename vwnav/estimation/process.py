@@ -258,8 +258,9 @@ def _gravity_by_tilt(x: Array, quat_wxyz: Array) -> tuple[Array, Array]:
 def _white_acceleration(
     x: Array, level: float, vertical: float, dt_s: float, config: EkfConfig
 ) -> Array:
-    """(6, 6) of Q; near the ground it may be struck."""
+    """(6, 6) of Q; near the ground it may be struck, and far from it what a camera shows swings."""
     agl_m, blow = -float(x[States.DOWN] + x[States.TERRAIN]), config.blow_noise_m_s2**2
+    level += (config.swing_noise_rad_s2 * max(agl_m, 0.0)) ** 2
     if agl_m < config.blow_agl_m:
         level = max(level, blow)
     if agl_m < config.touching_agl_m:

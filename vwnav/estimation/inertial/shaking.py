@@ -8,12 +8,13 @@ import numpy as np
 from vwnav.estimation.inertial.attitudes import LONGEST_GAP_S
 from vwnav.types import Array, ImuSample
 
-_OVER_S = 2.0
+_OVER_S = 1.0
 _OF_BEND = 6.0 * 3.0  # x0 - 2 x1 + x2 of independent noise s^2 on three axes: 18 s^2
 _MOST = np.array([60.0, 4.0])  # m/s^2 and rad/s that samples bend by: wrong ones shake nothing
 # What force and rates scatter by adds up to so much per root second: thrust as the attitude has it
-# tells more of the velocity.
-_TOO_MUCH = np.array([1.0, math.radians(2.5)])
+# tells more of the velocity. Recorded of real autopilots: at most 0.25 m/s and 1.3 degrees in the
+# air (PX4 of the 1.16 era), 0.73 m/s at a touch-down.
+_TOO_MUCH = np.array([1.0, math.radians(4.0)])
 _AGAIN = 0.5  # of it: nearer to it it is not used again
 _CHANCE_SIGMAS = 3.0
 
