@@ -103,7 +103,7 @@ class Pipeline:
         self._lens, self._mount = LensCheck(is_open), MountCheck(is_open, ekf.attitudes)
         self._camera: FoundCamera | None = None  # where it is not as it was told
         self._sequences, self._lost = Sequences(local_frame), True  # then images are joined
-        self._image_s = math.inf
+        self._image_s, self._borne_s = math.inf, -math.inf  # a fix was believed, its heading too
         self.attempts = self.accepted = 0
 
     def estimate(self, t_s: float) -> Estimate | None:
@@ -191,7 +191,7 @@ class Pipeline:
                 self._mount.broke(frame.t_s)
                 return motion
             innovation = self._ekf.handle(motion)
-        turned = self._mount.turned(motion, innovation, self.accepted > 0)
+        turned = self._mount.turned(motion, innovation, self.accepted > 0, self._borne_s)
         if turned is not None:
             self._lens.mount_turned()
             self._recalibrate(turned)
@@ -294,8 +294,7 @@ class Pipeline:
         sigma_yaw_rad = doubt * (now.sigma_seen_yaw_rad or now.sigma_yaw_rad)
         prior = Prior(
             yaw_rad=yaw_rad if sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
-            sigma_yaw_rad=sigma_yaw_rad,
-            agl_m=now.agl_m,
+            sigma_yaw_rad=sigma_yaw_rad, agl_m=now.agl_m,
             sigma_agl_ratio=max(agl_ratio, min(doubt * agl_ratio, MAX_DOUBTED_AGL_RATIO)),
             roll_rad=roll_rad, pitch_rad=pitch_rad, slope_ne=now.slope_ne,
         )  # fmt: skip
@@ -314,14 +313,13 @@ class Pipeline:
         told = NedFix(
             t_s=fix.t_s, position_ne_m=ned_m[:2], covariance_ne_m2=fix.covariance_ne_m2,
             yaw_rad=fix.yaw_rad, sigma_yaw_rad=fix.sigma_yaw_rad,
-            agl_m=None if misseen else fix.agl_m,
-            sigma_agl_m=None if misseen else fix.sigma_agl_m,
+            agl_m=None if misseen else fix.agl_m, sigma_agl_m=None if misseen else fix.sigma_agl_m,
             sigma_tilt_rad=self._sigma_tilt_rad if fix.point == "nadir" else 0.0,
         )  # fmt: skip
         with self._lock:
             if attempt.begins and not self._first_fix.confirmed(fix, attempt.then):
-                once = RejectReason.UNCONFIRMED
-                return Rejected(fix.t_s, once, "found once", fix.features, fix.stats)
+                once = RejectReason.UNCONFIRMED, "found once", fix.features, fix.stats
+                return Rejected(fix.t_s, *once)
             if attempt.begins and (self._ekf.state is None or self._first_fix.doubted):
                 self._ekf.initialise(start_at(fix, ned_m))
                 self._first_fix.began()
@@ -329,6 +327,8 @@ class Pipeline:
         if innovation.accepted:
             if self._first_fix.young:
                 self._first_fix.fused()
+            if len(parts := innovation.parts) == 2 and parts[0].verdict is Verdict.FUSED:  # heading
+                self._borne_s = fix.t_s
             if misseen and self._lens.told_by_fix() and (state := self._ekf.state) is not None:
                 self._recalibrate(Recalibrated(state.t_s))
             return fix

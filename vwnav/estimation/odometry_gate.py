@@ -284,7 +284,7 @@ class MountCheck:
         self._tilts[1] = 0.0
 
     def turned(
-        self, motion: OdometryMotion, told: Innovation, had_fix: bool
+        self, motion: OdometryMotion, told: Innovation, had_fix: bool, borne_s: float = -math.inf
     ) -> Recalibrated | None:
         """How it is known to be turned, with one more image; None while it is not, or as told.
 
@@ -295,7 +295,10 @@ class MountCheck:
             motion: by which it moved.
             told: what the filter said of that, the heading first.
             had_fix: a map fix has been believed.
+            borne_s: the newest whose heading was: what broke before has not knocked the camera.
         """
+        if borne_s > self._broke_s:
+            self._broke_s, self._tilts[1] = -math.inf, 0.0
         if not self._is_open or self._turns == _MOST_TURNS:
             return None
         agrees = {told.verdict, *map(_VERDICT, told.parts)} == {Verdict.FUSED}
@@ -337,9 +340,8 @@ class MountCheck:
             likelier = math.hypot(*mirrored) - math.hypot(
                 along - told * (1.0 - 1.0 / OVERSTATED), across
             )
-            if max(turned, likelier) >= LEAST_SURE:
-                since_s = self._broke_s if knocked else motion.t1_s
-                found = hangs(sums, since_s, knocked, had_fix, again=self._turns > 0)
-                if found is not None:
-                    return found
+            since_s, again = self._broke_s if knocked else motion.t1_s, self._turns > 0
+            sure = max(turned, likelier) >= LEAST_SURE
+            if sure and (found := hangs(sums, since_s, knocked, had_fix, again)) is not None:
+                return found
         return None
