@@ -201,6 +201,8 @@ class Pipeline:
             return motion
         if verdict is Verdict.IMPOSSIBLE:
             self._odometry.mistook()
+        else:
+            self._lens.doubted(frame.t_s)
         return Rejected(frame.t_s, reason, verdict.value)
 
     def _attempt_if_due(self, frame: Frame, R_ned_body: Array | None) -> MapFix | Rejected | None:
@@ -284,8 +286,9 @@ class Pipeline:
         be wrong by more than it says; what is not looked for is not found.
         """
         # As the autopilot says it: the filter carries the error of that, and would count it twice.
-        tilt = (None, None) if R_ned_body is None else euler_from_rotation(R_ned_body)[:2]
-        roll_rad, pitch_rad = tilt
+        roll_rad, pitch_rad, _ = (
+            (None,) * 3 if R_ned_body is None else euler_from_rotation(R_ned_body)
+        )
         if now is None:
             return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
         yaw_rad = math.remainder(yaw_of(now.quat_wxyz) + now.camera_turn_rad, 2.0 * math.pi)
@@ -336,15 +339,11 @@ class Pipeline:
         return Rejected(fix.t_s, RejectReason.PRIOR, reason, fix.features, fix.stats)
 
     def _recalibrate(self, event: Recalibrated | None) -> None:
-        """Go on with the camera that map or ways have shown, where they have: it was another.
-
-        The filter first: were it not told, it would take the new camera's error for the old one's.
-        """
+        """Go on with the camera that map or ways have shown, where they have: it was another."""
         if self._recalibrated is None or event is None:
             return
-        found = found_by(event, self._lens.focal_ratio, self._camera)
-        with self._lock:
+        with self._lock:  # first, or the new camera's error would be taken for the old one's
             if not self._ekf.handle(event).accepted:
                 return
-            self._camera = found  # with the state that it belongs to
-        self._features, self._odometry = self._recalibrated(found)
+            self._camera = found_by(event, self._lens.focal_ratio, self._camera)  # its state's
+        self._features, self._odometry = self._recalibrated(self._camera)

@@ -38,6 +38,7 @@ _WINDOW_S = 1.2
 _LEAST = 6  # ways in it
 _GAP_S = 0.5  # after which it is the filter that may be wrong
 _DOUBTED, _TRUSTED = 0.5, 0.9  # share that agrees: at most, and at least
+_DOUBTED_UNBORNE, _UNBORNE = 0.8, 3  # of ways that no map fix bears: so many were refused in a row
 _AGREE_S = 2.4  # for so long they have to agree to be believed again ...
 _TELLING_SIGMAS = 3.0  # ... also when the velocity had changed by so much ...
 _BEARING = 3  # map fixes that bear what ways have told
@@ -227,9 +228,10 @@ class OdometryGate:
         if few and (self.lost or not self._turned):
             return False
         share = sum(way.agrees for way in self._seen) / len(self._seen)
+        doubted = _DOUBTED if len(state.rejected_fixes) < _UNBORNE else _DOUBTED_UNBORNE
         if self.lost and self.fixes and share >= _TRUSTED and self._proved() and self._along >= 0.0:
             self.lost, self.believed_s, self.fixes = False, t_s, 0
-        elif not self.lost and (share <= _DOUBTED or self._turned):
+        elif not self.lost and (share <= doubted or self._turned):
             can_be = not (self.lens_doubted or self._in_scale)
             self.lens_doubted = can_be and may_be_the_lens(state, self._along)
             if self.lens_doubted:

@@ -57,7 +57,7 @@ def _driver(scenario: Scenario) -> bool:
 
 def _lens(scenario: Scenario) -> bool:
     return scenario.setup.lens_ratio != 1.0 or _shows(
-        scenario, camera.another_size, camera.cropped, camera.stabilised
+        scenario, camera.another_size, camera.cropped, camera.stabilised, camera.zoomed_in
     )
 
 

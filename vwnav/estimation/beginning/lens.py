@@ -10,8 +10,8 @@ a rangefinder sees the same ground as the camera does, and rules that out.
 Before that ways may have contradicted the IMU. Then the filter learns the focal length from them
 (`OdometryGate.lens_doubted`), to some percent.
 
-A camera that was gone may come back in another mode, with the same size of its images: then the
-question is asked again.
+A camera that was gone may come back in another mode, with the same size of its images, or change it
+in flight (somebody zooms): then the question is asked again.
 """
 
 import math
@@ -22,6 +22,7 @@ import numpy as np
 from vwnav.estimation.states import FilterState, States
 from vwnav.types import Array, Estimate, MapFix
 
+_ASKED_S = 30.0  # for so long it is not asked again why ways contradict the IMU
 _SUSPECTED_AFTER = 4  # looks in vain
 _LEAST_RATIO = 0.03  # one sigma of the height that is looked for, as a share of it ...
 _OPEN_RATIO = 0.17  # ... of the height that is looked for then: a third either way
@@ -64,7 +65,8 @@ class LensCheck:
     """
 
     def __init__(self, is_open: bool) -> None:
-        self.is_open = is_open
+        self.is_open = self._may_change = is_open
+        self._doubted_s = -math.inf
         self.least_agl_ratio = _LEAST_RATIO
         self.focal_ratio = 1.0
         self._by_ways = False
@@ -76,6 +78,12 @@ class LensCheck:
         """The camera was gone: it may have come back in another mode."""
         self.is_open, self._misses, self._agreeing = True, 0, 0
         self._off.clear()
+
+    def doubted(self, t_s: float) -> None:
+        """What the camera shows contradicts the IMU: it may have changed its mode just now."""
+        if self._may_change and not self.is_open and t_s > self._doubted_s + _ASKED_S:
+            self._doubted_s = t_s
+            self.ask_again()
 
     def missed(self) -> None:
         """A look gave no fix; after some other heights are looked at."""

@@ -61,9 +61,7 @@ class ImagesLate:
         """Late."""
         world.camera.latency_s += self.seconds
         if not self.stamped:
-            world.camera.troubles[id(self)] = lambda frame: replace(
-                frame, t_s=frame.t_s + self.seconds
-            )
+            world.camera.troubles[id(self)] = lambda f: replace(f, t_s=f.t_s + self.seconds)
 
     def end(self, world: FlightStage) -> None:
         """As before."""
@@ -208,6 +206,11 @@ def stabilised() -> Trouble:
     return _zoomed(1.1)
 
 
+def zoomed_in() -> Trouble:
+    """Somebody at its remote control: 1.3 times the focal length."""
+    return _zoomed(1.3)
+
+
 def _zoomed(ratio: float) -> Trouble:
     def zoom(image: Image) -> Image:
         h, w = image.shape[:2]
@@ -247,8 +250,7 @@ def drops() -> Trouble:
     places, radii = rng.uniform(0.0, 1.0, (_DROPS, 2)), rng.uniform(*_DROP_PX, _DROPS)
 
     def wet(image: Image) -> Image:
-        h, w = image.shape[:2]
-        drop = np.zeros((h, w), np.float32)
+        drop, (h, w) = np.zeros(image.shape[:2], np.float32), image.shape[:2]
         for (u, v), radius in zip(places.tolist(), radii.tolist(), strict=True):
             cv2.circle(drop, (round(u * w), round(v * h)), round(radius * h), 1.0, -1)
         drop = np.asarray(cv2.GaussianBlur(drop, (0, 0), 3.0))
@@ -289,11 +291,8 @@ def smeared() -> Trouble:
     rng = np.random.default_rng(6)
 
     def smear(image: Image) -> Image:
-        made = image.copy()
-        if rng.random() < _SMEARED:
-            row = int(rng.integers(1, image.shape[0]))
-            made[row:] = image[row - 1]
-        return made
+        row = int(rng.integers(1, len(image))) if rng.random() < _SMEARED else len(image)
+        return np.concatenate([image[:row], np.repeat(image[row - 1 : row], len(image) - row, 0)])
 
     return _each(smear)
 

@@ -118,6 +118,14 @@ MOUNTED = [
         )
     ),
     Scenario(
+        name="pictures zoomed in by a third in flight",
+        setup=setup(),
+        breaks=(Break(fault=broken.CameraTrouble(broken.zoomed_in), at_s=BREAKS_AT_S),),
+        limit_s=50.0,
+        ending=Ending.FLIES_ON,
+        follows=(said(6.0, "times as wide as its calibration"),),
+    ),
+    Scenario(
         name="camera mounted upside down",
         setup=setup(None),
         breaks=(Break(fault=broken.CameraTrouble(broken.upside_down), at_s=0.0),),
