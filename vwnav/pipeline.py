@@ -313,6 +313,7 @@ class Pipeline:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
         misseen = self._lens.is_open and self._lens.is_off(fix, attempt.then, self._ekf.state)
+        lone = misseen and self._lens.is_lone()
         told = NedFix(
             t_s=fix.t_s, position_ne_m=ned_m[:2], covariance_ne_m2=fix.covariance_ne_m2,
             yaw_rad=fix.yaw_rad, sigma_yaw_rad=fix.sigma_yaw_rad,
@@ -320,7 +321,7 @@ class Pipeline:
             sigma_tilt_rad=self._sigma_tilt_rad if fix.point == "nadir" else 0.0,
         )  # fmt: skip
         with self._lock:
-            if attempt.begins and not self._first_fix.confirmed(fix, attempt.then):
+            if lone or (attempt.begins and not self._first_fix.confirmed(fix, attempt.then)):
                 once = RejectReason.UNCONFIRMED, "found once", fix.features, fix.stats
                 return Rejected(fix.t_s, *once)
             if attempt.begins and (self._ekf.state is None or self._first_fix.doubted):

@@ -56,6 +56,18 @@ def climbed(check: LensCheck, by_map_m, heights_m=CLIMB_M, ranged=False):
     return None, withheld
 
 
+def test_a_fix_that_is_off_is_believed_once_others_before_it_in_a_row_were():
+    """Of twelve looks at slabs one passed for a fix, 11 m beside home and a tenth out of scale."""
+    check, lone = LensCheck(is_open=True), []
+    for height_m, found in zip(CLIMB_M.tolist(), "xxxx.xx.xxxxxx", strict=False):
+        if found == ".":
+            check.missed()
+            continue
+        assert check.is_off(fix(0.89 * height_m), believed(height_m), of_filter(ranged=True))
+        lone.append(check.is_lone())
+    assert lone == 10 * [True] + 2 * [False]
+
+
 @given(st.sampled_from([0.65, 0.75, 0.8, 0.85, 1.18, 1.25, 1.4]), SEEDS)
 def test_a_lens_that_is_wrong_by_a_share_is_told_within_the_climb(focal_ratio: float, seed: int):
     noise = np.random.default_rng(seed).normal(0.0, 0.01, len(CLIMB_M))

@@ -34,6 +34,7 @@ _OFF_RANGED = 0.08  # where a rangefinder bears it; less the filter learns
 _OFF_BY_WAYS, _SURE_BY_WAYS = 0.06, 0.05  # share, and one sigma of it, that is worth a new camera
 _SIGMAS_BY_WAYS = 3.0  # and so many of them
 MOST_RATIO = 2.0  # of a focal length to that of its calibration: more is something else
+_IN_ROW = 5  # looks, of which each finds a fix that is off: from that one on they are believed
 _LEAST, _MOST = 4, 24  # fixes that are off
 # By a ratio that far, as low over woods, more of them: of 4, one climb in 1200 made a lens.
 _FAR, _LEAST_FAR = 1.35, 6
@@ -70,7 +71,7 @@ class LensCheck:
         self.least_agl_ratio = _LEAST_RATIO
         self.focal_ratio = 1.0
         self._by_ways = False
-        self._misses = self._agreeing = 0
+        self._misses = self._agreeing = self._in_row = 0
         self._off: list[_Heights] = []
         self._newest = _Heights(math.nan, math.nan, 0.0)
 
@@ -87,7 +88,7 @@ class LensCheck:
 
     def missed(self) -> None:
         """A look gave no fix; after some other heights are looked at."""
-        self._misses += 1
+        self._misses, self._in_row = self._misses + 1, 0
         if self.is_open and self._misses >= _SUSPECTED_AFTER:
             self.least_agl_ratio = _OPEN_RATIO
 
@@ -123,6 +124,15 @@ class LensCheck:
             self._close()
         least = _OFF_RANGED if ranged else _OFF
         return min(abs(off), abs(off_start)) >= least and off * off_start > 0.0
+
+    def is_lone(self) -> bool:
+        """Whether a fix that `is_off` is among the first of its row: it is not believed yet.
+
+        Slabs of an apron look like others, a tenth smaller, and the edges contradict all but one
+        look of twelve: that one was a fix 11 m beside home, 9.5 sigmas. A lens is off in each look.
+        """
+        self._in_row += 1
+        return self._in_row < _IN_ROW
 
     def told_by_fix(self) -> bool:
         """Whether the focal length is known, with one more fix that `is_off`.
