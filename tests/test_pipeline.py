@@ -638,6 +638,33 @@ def test_a_lens_that_the_map_shows_to_be_another_is_taken_for_that(focal_ratio):
     assert pipeline.accepted > 30
 
 
+@dataclass
+class OverSlabs(Climbing):
+    """One look of six passes: at a place like this one, and smaller."""
+
+    def localize(self, frame: Frame, prior: Prior, seed: int) -> MapFix | Rejected:
+        found = super().localize(frame, prior, seed)
+        if len(self.priors) % 6:
+            return Rejected(frame.t_s, RejectReason.FEW_INLIERS, features="learned")
+        return found
+
+
+def test_a_lone_place_of_another_height_is_no_fix():
+    """A place 11 m beside home was, 9.5 sigmas off, in flights with nothing broken."""
+    start = Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -22.0]), sigma_m=5.0, agl_m=22.0)
+    slabs = OverSlabs(north_east_m=(0.0, 11.0), focal_ratio=1.18)
+    pipeline = make_pipeline(slabs, start=start, recalibrated=lambda _: slabs)
+    outcomes = []
+    for i in range(1, 120):
+        t_s = 0.1 * i
+        pipeline.feed(Attitude(t_s, LEVEL))
+        pipeline.feed(Height(t_s, 22.0 + 2.0 * t_s))
+        outcomes.append(pipeline.step(Frame(t_s, IMAGE, i)).outcome)
+    assert pipeline.accepted == 0
+    reasons = [outcome.reason for outcome in outcomes if isinstance(outcome, Rejected)]
+    assert reasons.count(RejectReason.UNCONFIRMED) > 3
+
+
 @pytest.mark.parametrize(("degrees", "worth"), [(0.0, False), (3.0, False), (20.0, True)])
 def test_a_mount_that_images_show_to_be_turned_is_taken_for_that(degrees, worth):
     """And once only: what is left of it is another camera's error, and small."""
@@ -680,6 +707,36 @@ def test_images_that_are_mirrored_are_turned_back_as_soon_as_their_tilting_shows
     assert odometry.left[-1] == LEFT
     assert bool(asked) is mirrors
     assert abs(wrap_pi(odometry.known_rad)) < 0.1
+
+
+@dataclass
+class LostOnce(Tilting):
+    """Follows nothing at 3 s, and from then on what it shows is mirrored, as patches of smoke."""
+
+    def step(self, frame, R_ned_body, agl_m):
+        self.mirrors = frame.t_s > 3.0
+        seen = super().step(frame, R_ned_body, agl_m)
+        lost = abs(frame.t_s - 3.0) < 0.01
+        return Rejected(frame.t_s, RejectReason.FEW_MATCHES) if lost else seen
+
+
+@pytest.mark.parametrize("map_shows", [True, False])
+def test_images_are_not_mirrored_while_the_map_bears_them_as_they_are(map_shows):
+    """Smoke below was taken for that among right fixes, and the flight landed for it."""
+    odometry, asked, localizer = LostOnce(), [], FakeLocalizer()
+
+    def recalibrated(ratio):
+        asked.append(ratio)
+        return localizer
+
+    pipeline = make_pipeline(
+        localizer, start=above_home(), odometry=odometry, recalibrated=recalibrated
+    )
+    fly(pipeline, 3.0)
+    assert pipeline.accepted > 3
+    localizer.north_east_m = (0.0, 0.0) if map_shows else None
+    fly(pipeline, 6.0, t0_s=3.0)
+    assert bool(asked) is not map_shows
 
 
 UPRIGHT = tuple(np.eye(3).ravel().tolist())

@@ -286,9 +286,8 @@ class Pipeline:
         be wrong by more than it says; what is not looked for is not found.
         """
         # As the autopilot says it: the filter carries the error of that, and would count it twice.
-        roll_rad, pitch_rad, _ = (
-            (None,) * 3 if R_ned_body is None else euler_from_rotation(R_ned_body)
-        )
+        tilt = (None, None) if R_ned_body is None else euler_from_rotation(R_ned_body)[:2]
+        roll_rad, pitch_rad = tilt
         if now is None:
             return Prior(roll_rad=roll_rad, pitch_rad=pitch_rad)
         yaw_rad = math.remainder(yaw_of(now.quat_wxyz) + now.camera_turn_rad, 2.0 * math.pi)
@@ -322,8 +321,8 @@ class Pipeline:
         )  # fmt: skip
         with self._lock:
             if lone or (attempt.begins and not self._first_fix.confirmed(fix, attempt.then)):
-                once = RejectReason.UNCONFIRMED, "found once", fix.features, fix.stats
-                return Rejected(fix.t_s, *once)
+                why = RejectReason.UNCONFIRMED, "of another height" if lone else "found once"
+                return Rejected(fix.t_s, *why, fix.features, fix.stats)
             if attempt.begins and (self._ekf.state is None or self._first_fix.doubted):
                 self._ekf.initialise(start_at(fix, ned_m))
                 self._first_fix.began()
@@ -343,8 +342,8 @@ class Pipeline:
         """Go on with the camera that map or ways have shown, where they have: it was another."""
         if self._recalibrated is None or event is None:
             return
-        with self._lock:  # first, or the new camera's error would be taken for the old one's
+        with self._lock:  # the filter first: the new camera's error would be the old one's to it
             if not self._ekf.handle(event).accepted:
                 return
-            self._camera = found_by(event, self._lens.focal_ratio, self._camera)  # its state's
+            self._camera = found_by(event, self._lens.focal_ratio, self._camera)  # with its state
         self._features, self._odometry = self._recalibrated(self._camera)

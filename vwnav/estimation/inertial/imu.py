@@ -12,7 +12,7 @@ from vwnav.types import Array, ImuSample
 
 _FORGET_AT_ONCE = 1000  # samples
 _SHAKE_S = 1.0  # over which the scatter of the samples is averaged
-_SCATTER_OF_BEND = 6.0 * 3.0  # x0 - 2 x1 + x2 of independent noise s^2 on three axes: 18 s^2
+SCATTER_OF_BEND = 6.0 * 3.0  # x0 - 2 x1 + x2 of independent noise s^2 on three axes: 18 s^2
 _MOST_FORCE_M_S2 = 320.0  # 32 g and 4000 deg/s: no sensor measures more
 _MOST_RATE_RAD_S = 70.0
 # What an aircraft feels in flight and at a hard landing, and by how much it changes between samples
@@ -183,7 +183,7 @@ class ImuHistory:
     def _learn_scatter(self, slope: Array, span_s: float) -> None:
         """From how the samples bend: a manoeuvre is smooth beside what rotors do."""
         bend, self._slope = slope - self._slope, slope
-        seen = np.array([bend[:3] @ bend[:3], bend[3:] @ bend[3:]]) / _SCATTER_OF_BEND
+        seen = np.array([bend[:3] @ bend[:3], bend[3:] @ bend[3:]]) / SCATTER_OF_BEND
         self._scatter += -math.expm1(-span_s / _SHAKE_S) * (seen - self._scatter)
 
 

@@ -1,4 +1,8 @@
-"""By how much rotors out of balance shake an IMU, and whether it still tells anything."""
+"""By how much rotors out of balance shake an IMU, and whether it still tells anything.
+
+The history (`imu.py`) weighs the samples that it believes by what those scatter by. Of a sensor
+that is shaken hard it refuses most, and those left scatter little: here all of them count.
+"""
 
 import math
 from collections import deque
@@ -6,10 +10,10 @@ from collections import deque
 import numpy as np
 
 from vwnav.estimation.inertial.attitudes import LONGEST_GAP_S
+from vwnav.estimation.inertial.imu import SCATTER_OF_BEND
 from vwnav.types import Array, ImuSample
 
-_OVER_S = 1.0
-_OF_BEND = 6.0 * 3.0  # x0 - 2 x1 + x2 of independent noise s^2 on three axes: 18 s^2
+_OVER_S = 1.0  # scatter is averaged
 _MOST = np.array([60.0, 4.0])  # m/s^2 and rad/s that samples bend by: wrong ones shake nothing
 # What force and rates scatter by adds up to so much per root second: thrust as the attitude has it
 # tells more of the velocity. Recorded of real autopilots: at most 0.25 m/s and 1.3 degrees in the
@@ -41,8 +45,8 @@ class Shaking:
         if len(self._newest) < 3:
             return
         zero, one, two = (values for _, values in self._newest)
-        bend = np.hypot.reduce((zero - 2.0 * one + two).reshape(2, 3), axis=1)
-        walked = span_s * np.minimum(bend, _MOST) ** 2 / _OF_BEND
+        bend = np.linalg.norm((zero - 2.0 * one + two).reshape(2, 3), axis=1)
+        walked = span_s * np.minimum(bend, _MOST) ** 2 / SCATTER_OF_BEND
         self._walk2 += -math.expm1(-span_s / _OVER_S) * (walked - self._walk2)
         most = _TOO_MUCH * (_AGAIN if self.too_much else 1.0)
         self.too_much = bool(np.any(self._walk2 > most**2))
