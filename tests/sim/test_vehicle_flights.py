@@ -70,20 +70,6 @@ def fly_vision_loss() -> Record:
     return r
 
 
-def fly_late_origin() -> Record:
-    """The origin comes after the vision."""
-    r: Record = {}
-    with Flight(speed=2.0, ground_url="") as c:
-        c.wait(lambda c: "SYS_STATUS" in c.latest, 10.0)
-        c.vision = True
-        c.sleep(4.0)
-        c.set_origin()
-        c.sleep(3.0)
-        r["north_m"] = c.latest["LOCAL_POSITION_NED"].x
-        r["arm"] = c.command(400, 1)
-    return r
-
-
 def fly_pilot() -> Record:
     """A pilot pushes a stick, hands back, and is a ground station that gets texts."""
     r: Record = {}
@@ -135,7 +121,6 @@ def stand_in_garbage() -> Record:
 SCENARIOS = {
     "cycle": fly_cycle,
     "vision": fly_vision_loss,
-    "origin": fly_late_origin,
     "pilot": fly_pilot,
     "garbage": stand_in_garbage,
     "mavsdk": mavsdk_flight.fly,
@@ -184,12 +169,6 @@ def test_lost_vision_clears_the_flags_and_descends_after_5_s(
     assert (r["flying"], r["dead_reckoning"], r["lost"], r["descends"]) == (True,) * 4
     assert 4.5 < r["after_s"] < 6.6  # HEARTBEAT is up to a second late
     assert r["back"]
-
-
-def test_a_late_origin_throws_the_position_away(flights: dict[str, Future[Record]]) -> None:
-    r = flights["origin"].result()
-    assert abs(r["north_m"]) > 1e6
-    assert r["arm"] == 1
 
 
 def test_a_pilot_takes_over_and_hands_back(flights: dict[str, Future[Record]]) -> None:

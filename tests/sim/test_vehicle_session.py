@@ -123,6 +123,20 @@ def test_force_arms_without_checks(talk: Talk) -> None:
     assert talk.vehicle.commander.armed
 
 
+def test_an_origin_that_comes_while_vision_is_fused_throws_the_position_away(talk: Talk) -> None:
+    """Stepped by hand: vision that pauses for 0.2 s is not fused, and a busy machine pauses."""
+    nothing, covariance = (math.nan,) * 3, [0.25] + [0.0] * 20
+    for _ in range(120):
+        talk.hear(
+            mavlink.MAVLink_vision_position_estimate_message(0, 0, 0, 0, *nothing, covariance, 0)
+        )
+        talk.run(1 / 30)
+    talk.hear(mavlink.MAVLink_set_gps_global_origin_message(1, 411000000, 290000000, 40000))
+    told = [m for m in talk.run(0.5) if m.get_type() == "LOCAL_POSITION_NED"]
+    assert abs(told[-1].x) > 1e6
+    assert talk.command(400, 1.0) == 1
+
+
 def test_current_mode_comes_twice_a_second_and_when_it_changes(talk: Talk) -> None:
     """With a new vehicle_status, however often it is asked for."""
     assert talk.command(511, 436, 1e5) == 0
