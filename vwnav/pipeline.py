@@ -98,11 +98,10 @@ class Pipeline:
         self.link_rests.set()
         self._pending: Attempt | None = None
         self._next_attempt_s, self._misses = -np.inf, 0  # attempts since the last fix
-        self._first_fix = FirstFix()
         self._recalibrated, is_open = recalibrated, recalibrated is not None
         self._lens, self._mount = LensCheck(is_open), MountCheck(is_open, ekf.attitudes)
         self._camera: FoundCamera | None = None  # where it is not as it was told
-        self._sequences, self._lost = Sequences(local_frame), True  # then images are joined
+        self._first_fix, self._sequences, self._lost = FirstFix(), Sequences(local_frame), True
         self._image_s, self._borne_s = math.inf, -math.inf  # a fix was believed, its heading too
         self.attempts = self.accepted = 0
 
@@ -225,6 +224,7 @@ class Pipeline:
         if begins:
             prior = self._first_fix.prior(prior, frame.t_s, now)
         searching = prior.lat_deg is None
+        widely = searching or prior.sigma_m > MIN_PRIOR_SIGMA_M
         interval = self._config.search_interval_s if searching else self._config.fix_interval_s
         self._next_attempt_s = frame.t_s + interval
         with self._lock:
@@ -232,7 +232,7 @@ class Pipeline:
         localizer = self._features.next()
         future = self._executor.submit(localizer.localize, frame, prior, frame.index)
         self._lost = begins or self._first_fix.young or searching or prior.sigma_m > LOST_SIGMA_M
-        self._pending = Attempt(frame.t_s, localizer, future, begins, now)
+        self._pending = Attempt(frame.t_s, localizer, future, begins, now, widely)
         return self._collect(frame.t_s)
 
     def _collect(self, t_s: float) -> MapFix | Rejected | None:
@@ -311,8 +311,9 @@ class Pipeline:
     def _fuse_fix(self, fix: MapFix, attempt: Attempt) -> MapFix | Rejected:
         """Hand a fix to the filter; what its gate refuses is no fix."""
         ned_m = self.local_frame.to_ned(fix.lat_deg, fix.lon_deg, self.local_frame.alt_amsl_m)
-        misseen = self._lens.is_open and self._lens.is_off(fix, attempt.then, self._ekf.state)
-        lone = misseen and self._lens.is_lone()
+        asked = self._lens.is_open or attempt.widely
+        off = asked and self._lens.is_off(fix, attempt.then, self._ekf.state)
+        misseen, lone = off and self._lens.is_open, off and self._lens.is_lone()
         told = NedFix(
             t_s=fix.t_s, position_ne_m=ned_m[:2], covariance_ne_m2=fix.covariance_ne_m2,
             yaw_rad=fix.yaw_rad, sigma_yaw_rad=fix.sigma_yaw_rad,

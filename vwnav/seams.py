@@ -91,13 +91,17 @@ class Localizing(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attempt:
-    """An image being matched; it `begins` where nothing believed `then` says its place."""
+    """An image being matched; it `begins` where nothing believed `then` says its place.
+
+    It is looked for `widely` where what says it may be wrong by much.
+    """
 
     t_s: float
     localizer: Localizing
     future: Future[MapFix | Rejected]
     begins: bool
     then: Estimate | None
+    widely: bool
 
     def is_overdue(self, t_s: float, most_s: float) -> bool:
         """Whether it has taken longer than `most_s`, or three times that where it `begins`."""

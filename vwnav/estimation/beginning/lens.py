@@ -95,7 +95,8 @@ class LensCheck:
     def is_off(self, fix: MapFix, then: Estimate | None, state: FilterState | None) -> bool:
         """Whether a fix has a height that may be the lens's fault: it tells the filter none then.
 
-        Where rangefinder and barometer part it is for the filter to say which of them is right.
+        Or it is that of another moment, of a camera that froze before the aircraft came down. Where
+        rangefinder and barometer part it is for the filter to say which of them is right.
 
         Args:
             fix: found just now.

@@ -48,8 +48,8 @@ _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of gr
 _MOST_ZOOM = 0.5
 _STEEPEST = 0.5  # slope that ground is thought to have
 _WENT_BY_PX = 20.0  # the ground since the keyframe: no pixel shows what it showed
-# One picture, encoded anew: its corners move by less, for so long, though the camera has turned.
-_STILL_PX, _STILL_SHARE, _STILL_S, _TURNED_PX, _STILL_FROM_M = 0.4, 0.9, 1.0, 1.0, 3.0
+# One picture, encoded anew or shaken: corners move by less, while the camera turns by 4 times that.
+_STILL_PX, _STILL_SHARE, _STILL_S, _STILL_FROM_M, _TURNED_PX, _TURNS = 1.5, 0.9, 1.0, 3.0, 1.0, 4.0
 _STILL = "they stand still while the aircraft turns"
 _KNOCKS_RAD = tuple(math.radians(each) for each in (20.0, -20.0, 40.0, -40.0))
 
@@ -74,11 +74,9 @@ class Odometry:
         self._alone = alone
         self._factor = max(1, math.ceil(camera.width_px / config.widest_px))
         self._full_wh = (camera.width_px, camera.height_px)
-        width_px, height_px = (size // self._factor for size in self._full_wh)
-        whole = replace(
-            camera, width_px=width_px * self._factor, height_px=height_px * self._factor
-        )
-        self._camera = whole.scaled(width_px, height_px)
+        w, h = (size // self._factor for size in self._full_wh)
+        whole = replace(camera, width_px=w * self._factor, height_px=h * self._factor)
+        self._camera = whole.scaled(w, h)
         self._rolling = bool(camera.readout_s)
         self._arm_camera_m = camera.R_body_camera.T @ camera.t_body_camera_m
         self.reset()
@@ -92,8 +90,8 @@ class Odometry:
         self._heading_rad = 0.0
         self._overlay = Overlay(self._camera.width_px, self._camera.height_px)
         self._broke = False  # the image before could not be followed
-        # The first image that looks as all do since: its keyframe, where whose corners (n, 2) are.
-        self._like: tuple[Keyframe, Points, ReducedView] | None = None
+        # Keyframe, its corners (n, 2) in the first of images that are alike, how far they moved.
+        self._like: tuple[Keyframe, Points, ReducedView, float] | None = None
         self._hangs = False  # the camera: it is always the same picture
 
     def mistook(self) -> None:
@@ -259,13 +257,17 @@ class Odometry:
     def _is_still(self, keyframe: Keyframe, view: ReducedView, uv: Points) -> bool:
         """Whether it is always one picture: what a camera that lives shows turns with it."""
         if self._like is not None and self._like[0] is keyframe:
-            _, uv_like, first = self._like
-            still = np.hypot(*(uv - uv_like).T) < _STILL_PX
-            if np.count_nonzero(still) > _STILL_SHARE * np.count_nonzero(np.isfinite(uv[:, 0])):
+            _, uv_like, first, most_px = self._like
+            moved_px = np.sort(np.hypot(*(uv - uv_like).T))  # NaN at the end
+            far_px = moved_px[int(_STILL_SHARE * np.count_nonzero(np.isfinite(moved_px)))]
+            if far_px < _STILL_PX:
+                most_px = max(most_px, float(far_px))
+                self._like = keyframe, uv_like, first, most_px
                 turned = np.linalg.norm(view.R_ned_camera - first.R_ned_camera) / math.sqrt(2.0)
                 lasts = view.t_s - first.t_s >= _STILL_S and view.height_m > _STILL_FROM_M
-                return self._hangs or bool(lasts and self._camera.K[0, 0] * turned > _TURNED_PX)
-        self._like = keyframe, uv, view
+                least_px = max(_TURNED_PX, _TURNS * most_px)
+                return self._hangs or bool(lasts and self._camera.K[0, 0] * turned > least_px)
+        self._like = keyframe, uv, view, 0.0
         return False
 
     def _prior(self, keyframe: ReducedView, view: ReducedView) -> MotionPrior:
@@ -315,9 +317,7 @@ class Odometry:
             displacement_ned_m=way * height_m - swung_m,
             covariance_ned_m2=covariance * height_m**2,
             yaw_increment_rad=increment_rad,
-            sigma_yaw_rad=math.hypot(
-                math.sqrt(motion.covariance[5, 5]), self._config.yaw_sigma_rad
-            ),
+            sigma_yaw_rad=math.hypot(motion.covariance[5, 5] ** 0.5, self._config.yaw_sigma_rad),
             agl_m=keyframe.view.agl_m,
             tracks=count,
             tilt_share=tilt.share,

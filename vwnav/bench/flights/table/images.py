@@ -42,8 +42,8 @@ USELESS = [
         ("of a ground that repeats", broken.repeating_ground),
     )
 ]
-# It hangs on what it sees: the aircraft may drift as it likes, and no way contradicts the IMU.
-HOVERING = [
+FROZEN = [
+    # It hangs on what it sees: the aircraft may drift as it likes, and no way contradicts the IMU.
     Scenario(
         name="the ground station pauses the flight, and pictures freeze in a stream",
         setup=setup(),
@@ -54,7 +54,19 @@ HOVERING = [
         limit_s=90.0,
         follows=(said(16.0, "they stand still while the aircraft turns"), phase(24.0, "landing")),
         lands_within_m=50.0,
-    )
+    ),
+    # Nothing can be followed, and now and then one is found on the map, where it froze.
+    Scenario(
+        name="pictures frozen in a stream whose exposure hunts for good at 50 m",
+        setup=setup(wind_m_s=5.0),
+        breaks=tuple(
+            Break(fault=broken.CameraTrouble(make), at_s=BREAKS_AT_S)
+            for make in (broken.frozen_in_a_stream, broken.exposure_hunting)
+        ),
+        limit_s=75.0,
+        follows=(phase(8.0, "landing"), down(60.0)),
+        lands_within_m=50.0,
+    ),
 ]
 POOR = [
     flies_on(f"pictures {name} for 15 s", broken.CameraTrouble(make), 15.0)
@@ -243,4 +255,4 @@ KNOCKED = [
         ),
     )
 ]
-IMAGES = [*USELESS, *HOVERING, *POOR, *LATE, *MOUNTED, *KNOCKED]
+IMAGES = [*USELESS, *FROZEN, *POOR, *LATE, *MOUNTED, *KNOCKED]
