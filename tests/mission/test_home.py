@@ -1,5 +1,6 @@
 """Where the aircraft stood, by the way flown from there to the first fixes."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,9 +18,11 @@ def at(place_ne_m: np.ndarray, sigma_m: float = 0.5) -> SimpleNamespace:
     )
 
 
-def flown(given_ne_m: np.ndarray | None, sigma_m: float, fixed_at: int = 400) -> Home:
+def flown(
+    given_ne_m: np.ndarray | None, sigma_m: float, fixed_at: int = 400, given_sigma_m: float = 5.0
+) -> Home:
     """20 s at 1 m/s to the north; the place gets so unsure on it, and sure by a fix."""
-    home = Home(given_ne_m)
+    home = Home(given_ne_m, given_sigma_m)
     for i in range(400):
         grown_m2 = 1.0 - 1e3 if i == fixed_at else sigma_m**2 / 400.0
         home.flown(np.array([0.05, 0.0]), grown_m2)
@@ -27,18 +30,36 @@ def flown(given_ne_m: np.ndarray | None, sigma_m: float, fixed_at: int = 400) ->
 
 
 @pytest.mark.parametrize(
-    ("sigma_m", "apart_m", "stays"),
-    [(1.0, 2.5, True), (1.0, 6.0, False), (5.0, 6.0, True), (5.0, 40.0, False)],
+    ("sigma_m", "apart_m", "share"),  # of the way from the one that was given to where it stood
+    [(1.0, 2.5, 25.25 / 26.25), (1.0, 6.0, 1.0), (5.0, 6.0, 25.25 / 50.25), (5.0, 40.0, 1.0)],
 )
 @pytest.mark.parametrize("fixed_at", [399, 400])
-def test_a_home_that_was_given_stays_unless_the_way_from_it_is_surer(
-    sigma_m, apart_m, stays, fixed_at
+def test_a_home_that_was_given_is_weighed_unless_the_way_from_it_is_surer(
+    sigma_m, apart_m, share, fixed_at
 ):
     home = flown(GIVEN_NE_M, sigma_m, fixed_at)
     stood_ne_m = GIVEN_NE_M + np.array([0.0, apart_m])
     said = home.settle(at(stood_ne_m + np.array([20.0, 0.0])))
-    assert (said == "") is stays
-    assert home.place_ne_m == pytest.approx(GIVEN_NE_M if stays else stood_ne_m)
+    assert (said == "") is (share < 1.0)
+    assert home.place_ne_m == pytest.approx(
+        GIVEN_NE_M + share * (stood_ne_m - GIVEN_NE_M), rel=1e-2
+    )
+
+
+@pytest.mark.parametrize("given_m", [0.3, 5.0])
+@pytest.mark.parametrize("way_m", [0.3, 4.0])
+def test_it_lands_nearer_to_where_it_stood_than_by_either_alone(given_m, way_m):
+    """By a map that is off by 1.5 m: 1.65 m from home, with one that was given to a centimetre."""
+    rng, off_m = np.random.default_rng(2), []
+    for _ in range(2000):
+        map_ne_m, given_ne_m, way_ne_m = (rng.normal(0.0, s, 2) for s in (1.5, given_m, way_m))
+        home = flown(given_ne_m, way_m, given_sigma_m=given_m)
+        if home.settle(at(NORTH_20_M + map_ne_m + way_ne_m, 1.5)):
+            continue  # given for elsewhere, it seems
+        ends = (home.place_ne_m, given_ne_m, map_ne_m + way_ne_m)
+        off_m.append([math.dist(each, map_ne_m) for each in ends])
+    weighed, given, stood = np.sqrt(np.mean(np.square(off_m), axis=0))
+    assert weighed < 1.02 * min(given, stood)
 
 
 def test_where_none_was_given_it_is_where_the_aircraft_stood_however_unsure():

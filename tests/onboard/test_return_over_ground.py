@@ -69,7 +69,7 @@ def around(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def plans(ridges, around) -> Iterator[dict[float, FlightPlan]]:
-    asked = dict.fromkeys(field.name for field in fields(FlyOptions))
+    asked = dict.fromkeys(field.name for field in fields(FlyOptions)) | {"home_sigma_m": 5.0}
     asked |= {"sim": False, "rejoined": False, "route_frame": "local", "route": around}
     with ExitStack() as stack:
         yield {

@@ -17,12 +17,20 @@ _SPACING_M = 20.0
 class Home:
     """Counts the way from the take-off until the first fixes tell where its end is.
 
+    It is landed on in the map's frame, which is off from the earth's by more than a pad is wide:
+    where the way from it begins is nearer to it, for who lands by that map, than where it was said
+    to be. Both are unsure, and weighed by that.
+
+    Args:
+        given_ne_m: (2,) about the origin, as a person gave it; None where nobody did.
+        given_sigma_m: how well that is known, per axis.
+
     Attributes:
         place_ne_m: (2,) about the origin; None while nobody knows.
     """
 
-    def __init__(self, given_ne_m: Array | None) -> None:
-        self._given_ne_m = given_ne_m
+    def __init__(self, given_ne_m: Array | None, given_sigma_m: float = 5.0) -> None:
+        self._given_ne_m, self._given_sigma_m = given_ne_m, given_sigma_m
         self._way_ne_m: Array = np.zeros(2)
         self._way_m2 = 0.0  # its variance
         self._settled = False
@@ -51,9 +59,11 @@ class Home:
         if self._given_ne_m is None:
             return "home is where the aircraft stood: known now"
         apart_m = float(np.hypot(*(stood_ne_m - self._given_ne_m)))
-        sigma_m = math.hypot(math.sqrt(self._way_m2), estimate.sigma_horizontal_m)
-        if apart_m <= max(_AGREES_M, _ELSEWHERE_SIGMAS * sigma_m):
-            self.place_ne_m = self._given_ne_m
+        here_m2 = estimate.sigma_horizontal_m**2
+        if apart_m <= max(_AGREES_M, _ELSEWHERE_SIGMAS * math.sqrt(self._way_m2 + here_m2)):
+            given_m2 = self._given_sigma_m**2 + here_m2  # of where it is to who flies by the map
+            share = given_m2 / (given_m2 + self._way_m2)
+            self.place_ne_m = self._given_ne_m + share * (stood_ne_m - self._given_ne_m)
             return ""
         return f"the aircraft stood {apart_m:.0f} m from the home that was given: it returns there"
 

@@ -100,6 +100,7 @@ class Mission:
         about_home: the waypoints are counted from home, wherever that turns out to be; else from
             the frame's origin.
         home_ne_m: (2,) where the aircraft is thought to stand; None when nobody knows.
+        home_sigma_m: how well that is known, per axis.
         way_home: how high the straight way there is flown.
         refuse: says why a route (n, 3) must not be flown, "" when it may; asked once home is known
             if it was not before.
@@ -108,6 +109,7 @@ class Mission:
     route_ned_m: Array
     about_home: bool = False
     home_ne_m: Array | None = None
+    home_sigma_m: float = 5.0
     way_home: WayHome = field(default_factory=WayHome)
     refuse: Callable[[Array], str] = lambda _: ""
 

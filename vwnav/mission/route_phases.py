@@ -49,7 +49,7 @@ class RoutePhases:
         self._limits = limits
         self._fly_within = fly_within
         self._say = say
-        self._home = Home(mission.home_ne_m)
+        self._home = Home(mission.home_ne_m, mission.home_sigma_m)
         self._follower: RouteFollower | None = None
         self._way = FlownWay()
         self._fixes = self._looks = 0

@@ -32,6 +32,7 @@ class FlightPlan:
             frame about the middle of the map, and nothing but a frame.
         route_ned_m: (n, 3) waypoints.
         home_known: False when the take-off may be anywhere on the map.
+        home_sigma_m: how well home is known then, per axis.
         about_home: the waypoints are counted from home.
         features: extractor, and what stands in for it; the pack fits the first.
     """
@@ -42,6 +43,7 @@ class FlightPlan:
     local_frame: LocalFrame
     route_ned_m: Array
     home_known: bool
+    home_sigma_m: float
     about_home: bool
     features: tuple[FeatureExtractor, FeatureExtractor | None]
 
@@ -52,6 +54,7 @@ class FlightPlan:
             self.route_ned_m,
             about_home=self.about_home and not self.home_known,
             home_ne_m=np.zeros(2) if self.home_known else None,
+            home_sigma_m=self.home_sigma_m,
             way_home=self.way_home,
             refuse=self.refuse,
         )

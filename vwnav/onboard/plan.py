@@ -44,8 +44,8 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     ground_m = route.ground_amsl_m(home, surveyed_m)
     route_ned_m = route.to_ned(local_frame, DEFAULT_HEIGHT_M, ground_m)
     plan = FlightPlan(
-        config, pack, camera, local_frame, route_ned_m, home is not None, route.about_home,
-        features,
+        config, pack, camera, local_frame, route_ned_m, home is not None, options.home_sigma_m,
+        route.about_home, features,
     )  # fmt: skip
     refused = plan.refuse_at_once()
     if refused:
