@@ -282,3 +282,16 @@ def test_a_hover_is_no_picture_that_stands_still():
     tilts_deg = [0.6 * math.sin(0.8 * i) for i in range(24)]
     px = [-math.tan(math.radians(t)) * AGL_M / M_PER_PX for t in tilts_deg]
     assert not any(map(is_none, looks_of([image(ground(1), each) for each in px], tilts_deg)))
+
+
+def test_nor_is_a_narrow_view_that_turns_about_its_axis():
+    """A third of a degree is a pixel at the rim of its image, and five were it to lean so."""
+    camera, shown = Camera.from_hfov(WIDTH, HEIGHT, 20.0), image(ground(1), 0.0)
+    odometry, looks = Odometry(camera, OdometryConfig()), []
+    for i in range(24):
+        yaw_deg = 0.3 * math.sin(0.8 * i)
+        M = cv2.getRotationMatrix2D(((WIDTH - 1) / 2.0, (HEIGHT - 1) / 2.0), yaw_deg, 1.0)
+        one = cv2.warpAffine(shown, M, (WIDTH, HEIGHT), borderMode=cv2.BORDER_REFLECT)
+        R_ned_body = rotation_from_euler(0.0, 0.0, math.radians(yaw_deg))
+        looks.append(odometry.step(Frame(0.2 * i, one, i), R_ned_body, AGL_M))
+    assert not any(map(is_none, looks))

@@ -48,7 +48,7 @@ _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of gr
 _MOST_ZOOM = 0.5
 _STEEPEST = 0.5  # slope that ground is thought to have
 _WENT_BY_PX = 20.0  # the ground since the keyframe: no pixel shows what it showed
-# One picture, encoded anew or shaken: corners move by less, while the camera turns by 4 times that.
+# One picture, encoded anew or shaken: corners move by less, while the camera leans by 4 times that.
 _STILL_PX, _STILL_SHARE, _STILL_S, _STILL_FROM_M, _TURNED_PX, _TURNS = 1.5, 0.9, 1.0, 3.0, 1.0, 4.0
 _STILL = "they stand still while the aircraft turns"
 _KNOCKS_RAD = tuple(math.radians(each) for each in (20.0, -20.0, 40.0, -40.0))
@@ -263,7 +263,7 @@ class Odometry:
             if far_px < _STILL_PX:
                 most_px = max(most_px, float(far_px))
                 self._like = keyframe, uv_like, first, most_px
-                turned = np.linalg.norm(view.R_ned_camera - first.R_ned_camera) / math.sqrt(2.0)
+                turned = np.linalg.norm((view.R_ned_camera - first.R_ned_camera)[:, 2])  # its axis
                 lasts = view.t_s - first.t_s >= _STILL_S and view.height_m > _STILL_FROM_M
                 least_px = max(_TURNED_PX, _TURNS * most_px)
                 return self._hangs or bool(lasts and self._camera.K[0, 0] * turned > least_px)
