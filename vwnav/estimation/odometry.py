@@ -108,17 +108,17 @@ def apply_displacement(
         change_m2 = (relief * agl_m) ** 2 - state.relief_m**2
         state = state._replace(relief_m=math.sqrt(state.relief_m**2 + _NEWEST * change_m2))
     displacement = _displacement(state, motion, agl_m, anchor, exposure.lean, config)
-    fused, innovation = fuse(state, displacement)
+    about, (fused, innovation) = state, fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED and state.P[_SCALE].sum() > (_UNSURE_SCALE * agl_m) ** 2:
         # About what has come of it, as the iterated filter does (Bell & Cathey 1993): how a way
         # scales is not told by one that a wrong velocity predicts. It made a height of 6 m of 1 m.
-        found_m = max(-float(fused.x[_KEYFRAME_AGL].sum()), _LEAST_AGL_M)
-        again = _displacement(fused, motion, found_m, anchor, exposure.lean, config)
-        moved_m = again.H @ (fused.x - state.x)
+        about, agl_m = fused, max(-float(fused.x[_KEYFRAME_AGL].sum()), _LEAST_AGL_M)
+        again = _displacement(about, motion, agl_m, anchor, exposure.lean, config)
+        moved_m = again.H @ (about.x - state.x)
         displacement = replace(again, residual=again.residual + moved_m)
         fused, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:
-        fused = _in_scale(state, fused, agl_m)._replace(rejected_ways=())
+        fused = _in_scale(about, fused, agl_m)._replace(rejected_ways=())
         fused = _apply_slope(fused, motion, anchor.yaw_rad, context)
     else:
         fused = _rejected(state, displacement, config)
