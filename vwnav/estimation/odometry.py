@@ -34,8 +34,6 @@ _CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P sing
 _CLONE_SIGMA_M = 0.01
 # What odometry measures in units of height.
 _SCALED = np.r_[States.POSITION_NE, States.VELOCITY, States.ACCELERATION, States.ANCHOR_NE]
-_KEYFRAME_AGL = [States.ANCHOR_DOWN, States.ANCHOR_TERRAIN]  # negative, their sum
-_SCALE, _UNSURE_SCALE = np.ix_(_KEYFRAME_AGL, _KEYFRAME_AGL), 0.2  # one sigma, as a share
 _LEAST_AGL_M = 0.1
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
 # What of sensors and air the ways teach; that of the vertical is the barometer's.
@@ -102,23 +100,16 @@ def apply_displacement(
         turned_rad = exposure.yaw_rad - anchor.yaw_rad
         state, heading = fuse(state, _turn(state, motion, turned_rad, config))
         parts = (heading,)
-    agl_m = max(-float(state.x[_KEYFRAME_AGL].sum()), _LEAST_AGL_M)
+    keyframe_agl_m = -state.x[States.ANCHOR_DOWN] - state.x[States.ANCHOR_TERRAIN]
+    agl_m = max(float(keyframe_agl_m), _LEAST_AGL_M)
     relief = motion.relief if agl_m > _GRASS_BELOW_M else 0.0
     if relief is not None:
         change_m2 = (relief * agl_m) ** 2 - state.relief_m**2
         state = state._replace(relief_m=math.sqrt(state.relief_m**2 + _NEWEST * change_m2))
     displacement = _displacement(state, motion, agl_m, anchor, exposure.lean, config)
-    about, (fused, innovation) = state, fuse(state, displacement)
-    if innovation.verdict is Verdict.FUSED and state.P[_SCALE].sum() > (_UNSURE_SCALE * agl_m) ** 2:
-        # About what has come of it, as the iterated filter does (Bell & Cathey 1993): how a way
-        # scales is not told by one that a wrong velocity predicts. It made a height of 6 m of 1 m.
-        about, agl_m = fused, max(-float(fused.x[_KEYFRAME_AGL].sum()), _LEAST_AGL_M)
-        again = _displacement(about, motion, agl_m, anchor, exposure.lean, config)
-        moved_m = again.H @ (about.x - state.x)
-        displacement = replace(again, residual=again.residual + moved_m)
-        fused, innovation = fuse(state, displacement)
+    fused, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:
-        fused = _in_scale(about, fused, agl_m)._replace(rejected_ways=())
+        fused = _in_scale(state, fused, agl_m)._replace(rejected_ways=())
         fused = _apply_slope(fused, motion, anchor.yaw_rad, context)
     else:
         fused = _rejected(state, displacement, config)
