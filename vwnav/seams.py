@@ -93,7 +93,7 @@ class Localizing(Protocol):
 class Attempt:
     """An image being matched; it `begins` where nothing believed `then` says its place.
 
-    It is looked for `widely` where what says it may be wrong by much.
+    It is looked for `widely` where what is believed of it may be wrong by much.
     """
 
     t_s: float

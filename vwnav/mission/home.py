@@ -29,7 +29,7 @@ class Home:
         place_ne_m: (2,) about the origin; None while nobody knows.
     """
 
-    def __init__(self, given_ne_m: Array | None, given_sigma_m: float = 5.0) -> None:
+    def __init__(self, given_ne_m: Array | None, given_sigma_m: float) -> None:
         self._given_ne_m, self._given_sigma_m = given_ne_m, given_sigma_m
         self._way_ne_m: Array = np.zeros(2)
         self._way_m2 = 0.0  # its variance
