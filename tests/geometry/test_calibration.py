@@ -11,11 +11,12 @@ from hypothesis import strategies as st
 
 from vwnav.errors import CalibrationError
 from vwnav.geometry.calibration import load_camera, load_findings, save_camera
-from vwnav.geometry.camera import Camera, check_fits
+from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera, check_fits
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.geometry.sensor_mode import SensorMode
 
 K = np.array([[500.25, 0.0, 321.5], [0.0, 501.5, 238.25], [0.0, 0.0, 1.0]])
+_LEANS = st.tuples(st.floats(-0.75, 0.75), st.floats(-0.75, 0.75))  # together up to 58 degrees
 OURS = {
     "width_px": 640,
     "height_px": 480,
@@ -59,25 +60,29 @@ def refused(path: Path) -> str:
     return message
 
 
-def mounted(roll: float, pitch: float, fisheye: bool) -> Camera:
+def mounted(roll: float, pitch: float, yaw: float, fisheye: bool) -> Camera:
     return Camera(
         width_px=640,
         height_px=480,
         K=K,
         distortion=(-0.1, 0.01, 1e-4, -1e-4),
         model="fisheye" if fisheye else "pinhole",
-        R_body_camera=rotation_from_euler(roll, pitch, 0.3),
+        R_body_camera=rotation_from_euler(roll, pitch, yaw) @ R_BODY_CAMERA_DOWN,
         t_body_camera_m=np.array([0.1, 0.0, 0.05]),
     )
 
 
 @pytest.mark.parametrize("suffix", [".json", ".toml"])
-@given(roll=st.floats(-3.0, 3.0), pitch=st.floats(-1.6, 1.6), fisheye=st.booleans())
+@given(leans=_LEANS, yaw=st.floats(-3.1, 3.1), fisheye=st.booleans())
 def test_our_files_give_the_same_camera_back(
-    tmp_path_factory: pytest.TempPathFactory, suffix: str, roll: float, pitch: float, fisheye: bool
+    tmp_path_factory: pytest.TempPathFactory,
+    suffix: str,
+    leans: tuple[float, float],
+    yaw: float,
+    fisheye: bool,
 ) -> None:
     path = tmp_path_factory.mktemp("calibration") / f"camera{suffix}"
-    camera = mounted(roll, pitch, fisheye)
+    camera = mounted(*leans, yaw, fisheye)
     save_camera(camera, path)
     again = load_camera(path)
     assert (again.model, again.distortion) == (camera.model, camera.distortion)
@@ -87,7 +92,7 @@ def test_our_files_give_the_same_camera_back(
 
 
 def test_a_lever_arm_in_millimetres_is_refused(tmp_path: Path) -> None:
-    save_camera(mounted(0.0, 0.0, False), tmp_path / "c.toml")
+    save_camera(mounted(0.0, 0.0, 0.3, False), tmp_path / "c.toml")
     text = (tmp_path / "c.toml").read_text().replace("0.05,", "50.0,").replace("0.1,", "100.0,")
     (tmp_path / "c.toml").write_text(text)
     assert "is it in metres?" in refused(tmp_path / "c.toml")
@@ -95,7 +100,7 @@ def test_a_lever_arm_in_millimetres_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".json", ".toml"])
 def test_a_file_that_an_editor_has_put_a_mark_before_is_read(tmp_path: Path, suffix: str) -> None:
-    save_camera(mounted(0.0, 0.0, False), tmp_path / f"c{suffix}")
+    save_camera(mounted(0.0, 0.0, 0.3, False), tmp_path / f"c{suffix}")
     text = (tmp_path / f"c{suffix}").read_text()
     (tmp_path / f"c{suffix}").write_text(text, encoding="utf-8-sig")
     assert load_camera(tmp_path / f"c{suffix}").width_px == 640
@@ -225,6 +230,8 @@ def test_unknown_ros_model_is_refused(tmp_path: Path) -> None:
         ({"model": "magic"}, "pinhole or fisheye"),
         ({"model": ["pinhole"]}, "not a usable"),
         ({"mount_rpy_deg": [0, 0]}, "3 numbers"),
+        ({"mount_rpy_deg": [180, 0, 0]}, "180 degrees away from straight down"),
+        ({"mount_rpy_deg": [0, 61, 0]}, "61 degrees away from straight down"),
         ({"calibrated": {"sigma_mount_rpy_deg": [0.1]}}, "3 numbers"),
         ({"calibrated": {"sigma_mount_rpy_deg": [0.0, 0.0, 0.1]}}, "sigma of the mount"),
         ({"calibrated": {"sigma_fx_px": "small"}}, "finite number"),
@@ -268,7 +275,7 @@ def test_the_mode_of_the_sensor_is_kept_with_its_findings(
     tmp_path: Path, suffix: str, mode: SensorMode | None
 ) -> None:
     path = tmp_path / f"camera{suffix}"
-    save_camera(replace(mounted(0.0, 0.0, False), sensor_mode=mode), path, {"views": 20})
+    save_camera(replace(mounted(0.0, 0.0, 0.3, False), sensor_mode=mode), path, {"views": 20})
     assert load_camera(path).sensor_mode == mode
     assert load_findings(path) == {"views": 20}
 

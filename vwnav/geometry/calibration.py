@@ -21,7 +21,7 @@ import tomli_w
 
 from vwnav.errors import CalibrationError
 from vwnav.files.whole import write_whole
-from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera, CameraModel
+from vwnav.geometry.camera import MAX_OFF_NADIR_RAD, R_BODY_CAMERA_DOWN, Camera, CameraModel
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_euler
 from vwnav.geometry.sensor_mode import SensorMode
 from vwnav.types import Array
@@ -120,8 +120,9 @@ def _read(path: Path) -> str:
         if path.stat().st_size > _MAX_BYTES:
             raise CalibrationError(f"{path}: larger than 1 MB, not a camera calibration")
         return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot read ({error.strerror})") from error
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it is not text"
+        raise CalibrationError(f"{path}: cannot read ({why})") from error
 
 
 def _camera(path: Path, text: str) -> Camera:
@@ -309,6 +310,7 @@ def _pixels(value: Any, key: str) -> int:
 
 def _check_plausible(camera: Camera) -> None:
     _check_focal_lengths(camera)
+    _check_mount(camera)
     shares = camera.K[0, 2] / camera.width_px, camera.K[1, 2] / camera.height_px
     if min(shares) < 0.0 or max(shares) >= 1.0:
         where = "outside the picture of"
@@ -320,6 +322,15 @@ def _check_plausible(camera: Camera) -> None:
         f"the principal point {camera.K[0, 2]:g}, {camera.K[1, 2]:g} lies {where} "
         f"{camera.width_px} x {camera.height_px} px"
     )
+
+
+def _check_mount(camera: Camera) -> None:
+    aside_rad = math.acos(np.clip(camera.R_body_camera[2, 2], -1.0, 1.0))
+    if aside_rad > MAX_OFF_NADIR_RAD:
+        raise ValueError(
+            f"mount_rpy_deg turns the camera {math.degrees(aside_rad):.0f} degrees away from "
+            "straight down, 60 at most; 0, 0, 180 is one that looks down, its top to the tail"
+        )
 
 
 def _check_focal_lengths(camera: Camera) -> None:
