@@ -198,10 +198,9 @@ class Pipeline:
         reason = _NO_MOTION.get(verdict := innovation.verdict)
         if reason is None or self._ekf.counts_heading:  # which does not know its height at first
             return motion
+        self._lens.doubted(frame.t_s)
         if verdict is Verdict.IMPOSSIBLE:
             self._odometry.mistook()
-        else:
-            self._lens.doubted(frame.t_s)
         return Rejected(frame.t_s, reason, verdict.value)
 
     def _attempt_if_due(self, frame: Frame, R_ned_body: Array | None) -> MapFix | Rejected | None:

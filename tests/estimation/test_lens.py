@@ -12,10 +12,10 @@ from vwnav.estimation.beginning.other_camera import LENS_DOUBT, apply_lens_doubt
 from vwnav.estimation.beginning.starts import Start
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
-from vwnav.estimation.events import CameraReturned, Recalibrated
+from vwnav.estimation.events import CameraReturned, NedFix, Recalibrated
 from vwnav.estimation.inertial.attitudes import GRAVITY_M_S2
 from vwnav.estimation.inputs import decode, encode
-from vwnav.estimation.states import FilterState, RangeTrust, States, TrustedPosition
+from vwnav.estimation.states import FilterState, RangeTrust, States, TrustedPosition, Verdict
 from vwnav.types import Attitude, Estimate, Height, ImuSample, MapFix, OdometryMotion
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -222,6 +222,50 @@ def test_ways_tell_the_focal_length_of_a_camera_that_was_gone_and_velocity_and_p
     assert check.told_by_ways(ekf.state) is (focal_ratio != 1.0)
     assert check.focal_ratio == pytest.approx(focal_ratio, rel=0.12)
     assert ekf.state.x[States.VELOCITY] == pytest.approx(velocity_m_s, abs=0.9)
+
+
+@pytest.mark.parametrize("ratio", [0.8, 0.95, 1.05, 1.1, 1.3])
+def test_a_view_that_grows_or_shrinks_at_once_is_no_way_and_the_lens_is_asked_for(ratio):
+    """From one image to the next; those after it are as long as the lens makes them."""
+    ekf, verdict = hovering_with_a_leap(50.0 * (1.0 - 1.0 / ratio))
+    assert verdict is Verdict.IMPOSSIBLE
+    assert ekf.state is not None
+    assert abs(ekf.state.x[States.DOWN] + 50.0) < 0.3
+    assert ekf.state.P[States.FOCAL, States.FOCAL] > 0.2**2
+
+
+@pytest.mark.parametrize("leap_m", [-1.1, -0.5, 0.5, 1.1])
+def test_what_a_climb_can_be_is_no_lens(leap_m):
+    """11 m/s, all at once."""
+    ekf, verdict = hovering_with_a_leap(leap_m)
+    assert verdict is not Verdict.IMPOSSIBLE
+    assert ekf.state is not None
+    assert ekf.state.P[States.FOCAL, States.FOCAL] < 0.05**2
+
+
+def test_before_a_first_fix_the_height_is_not_known_well_enough_to_tell():
+    _, verdict = hovering_with_a_leap(10.0, had_fix=False)
+    assert verdict is Verdict.GATED
+
+
+def hovering_with_a_leap(leap_m: float, had_fix: bool = True) -> tuple[Ekf, Verdict]:
+    """50 m up for 4 s, ten images a second; the last one as if it had sunk by so much at once."""
+    ekf, level = Ekf(EkfConfig()), np.array([1.0, 0.0, 0.0, 0.0])
+    ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0]), agl_m=50.0))
+    verdict = Verdict.NOT_STARTED
+    for i in range(1, 41):
+        t_s = 0.1 * i
+        for felt_s in (t_s - 0.09 + 0.01 * np.arange(10)).tolist():
+            ekf.handle(Attitude(felt_s, level))
+            ekf.handle(ImuSample(felt_s, np.array([0.0, 0.0, -GRAVITY_M_S2]), np.zeros(3)))
+        ekf.handle(Height(t_s, 50.0))
+        if i == 20 and had_fix:
+            told = NedFix(t_s=t_s, position_ne_m=np.zeros(2), covariance_ne_m2=np.eye(2))
+            assert ekf.handle(told).accepted
+        way_m = np.array([0.0, 0.0, leap_m if i == 40 else 0.0])
+        way = OdometryMotion(0.1, t_s, way_m, 4e-4 * np.eye(3), 0.0, 0.01, 50.0, 80)
+        verdict = ekf.handle(way).verdict if i > 1 else verdict
+    return ekf, verdict
 
 
 def test_a_filter_that_is_told_of_another_camera_is_open_to_it_and_remembers_being_told():

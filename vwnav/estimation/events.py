@@ -113,7 +113,7 @@ class Misled:
 
 @dataclass(frozen=True, slots=True)
 class CameraReturned:
-    """It had shown nothing for a while: its driver may have begun anew, in another mode."""
+    """It had shown nothing for a while, or was zoomed: it may be in another mode from now on."""
 
     t_s: float
 

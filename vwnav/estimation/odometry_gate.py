@@ -7,8 +7,7 @@ of images that are dated wrongly agree as long as it flies steadily.
 
 The images themselves tell it earlier, and need no filter for it: those of a camera upside down
 tilt the other way whenever the aircraft does (`OdometryMotion.tilts_along`). So they tell by how
-much a camera is turned on its mount (`MountCheck`). Taken for the compass' error, 10 degrees made
-an estimate wrong by 4.7 sigmas, and 45 degrees cost the aircraft.
+much a camera is turned on its mount (`MountCheck`): as the compass' error it cost an aircraft.
 """
 
 import bisect
@@ -24,9 +23,9 @@ from vwnav.estimation.beginning.lens import may_be_the_lens
 from vwnav.estimation.beginning.mount import LEAST_SURE, OVERSTATED, KnockCheck, hangs
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.disputes import DATE_OFF_S
-from vwnav.estimation.events import Displacement, Event, NewKeyframe, Recalibrated
+from vwnav.estimation.events import CameraReturned, Displacement, Event, NewKeyframe, Recalibrated
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
-from vwnav.estimation.odometry import between
+from vwnav.estimation.odometry import between, zoomed
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.types import Array, OdometryMotion
 
@@ -45,6 +44,7 @@ _BEARING = 3  # map fixes that bear what ways have told
 _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
 _NOISE_M = 0.5  # of a way
+_ZOOMED_AGAIN_S = 30.0  # what leaps more often is no lens
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most, and those of one keyframe
@@ -100,6 +100,7 @@ class OdometryGate:
     def __init__(self, attitudes: AttitudeHistory, config: EkfConfig) -> None:
         self._attitudes, self._config = attitudes, config
         self._newest: OdometryMotion | None = None
+        self._zoomed_s = -math.inf
         self.lens_doubted = False
         self.other_camera()
 
@@ -159,13 +160,20 @@ class OdometryGate:
         if not way_m < _NOISE_M + self._config.most_speed_m_s * (motion.t1_s - motion.t0_s):
             return Verdict.IMPOSSIBLE  # no aircraft flies so far, at the height that is believed
         before, self._newest = self._newest, motion
+        may_zoom = motion.t1_s > self._zoomed_s + _ZOOMED_AGAIN_S
+        if may_zoom and zoomed(before, motion, timeline.newest):
+            self._zoomed_s = motion.t1_s
+            timeline.insert(CameraReturned(motion.t1_s))
+            return Verdict.IMPOSSIBLE
         known = timeline.keyframe_known(motion.t0_s)
         if not known and motion.t0_s < timeline.oldest.t_s:
             if before is None or not before.t0_s == motion.t0_s < before.t1_s < motion.t1_s:
                 return Verdict.NO_ANCHOR
             event = self.displacement(between(before, motion))
             known = timeline.keyframe_known(event.motion.t0_s)
-        if not self._seen_upright(event.motion, known):
+        refused = {event.motion.t0_s, motion.t1_s} & self._attitudes.refused_s
+        unseen = not known and self._attitudes.at(event.motion.t0_s) is None
+        if refused or unseen or self._attitudes.at(motion.t1_s) is None:
             return Verdict.NO_ATTITUDE
         if not (known or self._cloned(event.motion, timeline)):
             return Verdict.NO_ANCHOR
@@ -182,13 +190,6 @@ class OdometryGate:
         self._along = min(max(self._along + says - said, -_SURE_ALONG), _SURE_ALONG)
         self._turned = self._along == -_SURE_ALONG
         return event
-
-    def _seen_upright(self, motion: OdometryMotion, known: bool) -> bool:
-        """Whether attitudes that are believed tell how its images were turned to the ground."""
-        refused = {motion.t0_s, motion.t1_s} & self._attitudes.refused_s
-        if refused or self._attitudes.at(motion.t1_s) is None:
-            return False
-        return known or self._attitudes.at(motion.t0_s) is not None
 
     def _cloned(self, motion: OdometryMotion, timeline: _History) -> bool:
         """Whether its keyframe's pose is cloned now."""
