@@ -22,6 +22,7 @@ _REFUSED_DATED = 6  # where these lie as far behind as the aircraft flies in suc
 _TILTED_LATE_S, _STEPPED_LATE_S = (0.2, 0.7), (0.1, 1.0)
 _TILTED_BESIDE, _STEPPED_BESIDE = 0.3, 0.7  # ... and beside its way by less than that share
 _MOST_STEP_M = 6.0  # between two pieces of a map: by more it is another place
+_FOLLOWED_S = 1.0  # since the last image that was, at most: its exposure hunts, or it is frozen
 _JUST_BEFORE_S = 2.0  # the last fix that was believed: a place that has drifted since is no step
 
 
@@ -75,10 +76,11 @@ def _may_be_tilt(history: FixHistory, by_m: float, attitudes: AttitudeHistory) -
     """Whether a camera that hangs otherwise by much may show places so far off.
 
     Images that are followed on and on show that nothing has knocked it, and one that was bent
-    before shows it where the heading is another.
+    before shows it where the heading is another. One that was knocked is followed again at once.
     """
     newest, believed_s = history.newest, history.newest.t_last_fix_s
-    if by_m < LEAST_TILT_RAD * newest.agl_m:
+    unseen_s = newest.t_s - newest.tracked_s
+    if by_m < LEAST_TILT_RAD * newest.agl_m or unseen_s > _FOLLOWED_S:
         return False
     then, now = (attitudes.exposure(t_s).yaw_rad for t_s in (history.oldest.t_s, newest.t_s))
     turned = abs(wrap_pi(now - then)) > _TURNED_RAD
