@@ -812,6 +812,51 @@ def test_a_pilot_who_takes_over_a_landing_has_it(mode):
     assert scene.vehicle.asked == asked
 
 
+def test_a_landing_without_a_position_is_held_once_there_is_one_and_goes_on():
+    """ArduCopter comes down level, 208 m with the wind, until another mode is asked for."""
+    scene = on_route()
+    scene.flight.abort("interrupted")
+    scene.go_on(2.0)
+    asked = list(scene.vehicle.asked)
+    scene.vehicle.be(lands_blind=True)
+    scene.run(lambda scene: scene.vehicle.vehicle.mode is FlightMode.HOLD)
+    assert scene.vehicle.asked[len(asked) :] == ["hold"]
+    scene.vehicle.be(lands_blind=False)
+    scene.run()
+    assert scene.vehicle.asked[len(asked) :] == ["hold", "land"]
+    assert sum("Hold, then Land" in line for line in scene.said) == 1
+    assert not scene.vehicle.vehicle.armed
+
+
+def test_a_hold_that_is_refused_to_one_that_lands_blind_is_asked_for_seldom_and_it_comes_down():
+    scene = on_route()
+    scene.flight.abort("interrupted")
+    scene.go_on(2.0)
+    scene.vehicle.refuse = {"hold": ["not now"] * 100}
+    scene.vehicle.be(lands_blind=True)
+    began_s, asked = scene.t_s, len(scene.vehicle.asked)
+    scene.run()
+    again = set(scene.vehicle.asked[asked:])
+    assert again == {"hold"}
+    assert len(scene.vehicle.asked) - asked <= 1 + (scene.t_s - began_s) / 6.0
+    assert not scene.vehicle.vehicle.armed
+
+
+def test_a_pilot_who_chooses_hold_once_it_lands_again_keeps_it():
+    scene = on_route()
+    scene.flight.abort("interrupted")
+    scene.go_on(2.0)
+    scene.vehicle.be(lands_blind=True)
+    scene.run(lambda scene: scene.vehicle.vehicle.mode is FlightMode.HOLD)
+    scene.vehicle.be(lands_blind=False)
+    scene.run(lambda scene: scene.vehicle.vehicle.mode is FlightMode.LAND).go_on(4.0)
+    asked = list(scene.vehicle.asked)
+    scene.vehicle.be(mode=FlightMode.HOLD)
+    scene.go_on(10.0)
+    assert scene.flight.phase is Phase.RELEASED
+    assert scene.vehicle.asked == asked
+
+
 @pytest.mark.parametrize("lands", [True, False])
 def test_in_a_fallback_to_sticks_that_are_heard_nothing_is_asked_for(lands):
     """PX4 flies as they tell it, and tells that Offboard is intended, whoever moves them."""

@@ -76,6 +76,8 @@ class VehicleState:
             a change of mode and PX4's word on who asked for it.
         tells_intent: which mode was asked for is told, or need not be (ArduPilot).
         failsafe: the autopilot flies a mode of its own choice, not of a person's or ours.
+        lands_blind: it comes down as the wind has it, though it has a position again: it holds it
+            once another mode was flown (ArduCopter).
         silence_s: since anything of it came.
         aiding: its filter predicts the position from what we send; None when it does not say.
         ground_station: one has been heard within some seconds.
@@ -101,6 +103,7 @@ class VehicleState:
     intended_mode: FlightMode = FlightMode.UNKNOWN
     tells_intent: bool = True
     failsafe: bool = False
+    lands_blind: bool = False
     aiding: bool | None = None
     ground_station: bool = False
     own_position_ned_m: Array | None = None

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from pymavlink import mavutil
 
 from vwnav.mavlink.modes import AutopilotKind, flight_mode, mode_command
+from vwnav.mavlink.telemetry.mode_track import ModeTrack
 from vwnav.vehicle import FlightMode
 
 COMMANDED = [FlightMode.OFFBOARD, FlightMode.HOLD, FlightMode.RETURN, FlightMode.LAND]
@@ -38,3 +39,54 @@ def test_copter_numbers_are_those_of_pymavlink():
     numbers = {name: number for number, name in mavutil.mode_mapping_acm.items()}
     for name, mode in names.items():
         assert flight_mode(AutopilotKind.ARDUPILOT, numbers[name]) is mode
+
+
+def told(track: ModeTrack, kind: AutopilotKind, mode: FlightMode, t_s: float) -> None:
+    command = mode_command(kind, mode).params
+    number = int(command[1])
+    custom = number if kind is AutopilotKind.ARDUPILOT else number << 16 | int(command[2]) << 24
+    track.handle_heartbeat(kind, {"custom_mode": custom, "system_status": 4}, t_s)
+
+
+@pytest.mark.parametrize("lost_first", [True, False])
+def test_copter_that_has_no_position_in_land_lands_blind_once_it_has_one_until_another_mode(
+    lost_first,
+):
+    track, copter = ModeTrack(), AutopilotKind.ARDUPILOT
+    track.handle_position(True, 0.0)
+    if lost_first:
+        track.handle_position(False, 1.0)
+        told(track, copter, FlightMode.LAND, 2.0)
+    else:
+        told(track, copter, FlightMode.LAND, 1.0)
+        track.handle_position(False, 2.0)
+    assert not track.lands_blind(5.0)
+    track.handle_position(True, 6.0)
+    assert not track.lands_blind(7.0)
+    track.handle_position(True, 7.0)
+    assert track.lands_blind(7.6)
+    told(track, copter, FlightMode.LAND, 8.0)
+    assert track.lands_blind(9.0)
+    told(track, copter, FlightMode.HOLD, 9.5)
+    told(track, copter, FlightMode.LAND, 10.0)
+    assert not track.lands_blind(20.0)
+
+
+@given(
+    st.sampled_from(AutopilotKind),
+    st.lists(st.tuples(st.sampled_from([*COMMANDED, None]), st.booleans()), max_size=30),
+)
+def test_nobody_else_lands_blind_nor_one_that_always_had_a_position(kind, events):
+    """None: news of the position, which is or is not known."""
+    track, always, landed = ModeTrack(), True, False
+    for i, (mode, known) in enumerate(events):
+        if mode is None:
+            track.handle_position(known, float(i))
+            always = always and known
+        else:
+            told(track, kind, mode, float(i))
+            landed = mode is FlightMode.LAND
+        if track.lands_blind(float(i)):
+            assert kind is AutopilotKind.ARDUPILOT
+            assert landed
+            assert not always

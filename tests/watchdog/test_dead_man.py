@@ -369,3 +369,42 @@ def test_whatever_happens_nobody_is_commanded_against_and_nobody_is_left_alone(e
     done = [action for _, action in run(guard, t_s, t_s + 5.0)]
     assert done[0] is DeadManAction.ZERO_VELOCITY
     assert done[-1] is DeadManAction.LAND
+
+
+def landing_blind() -> DeadMan:
+    """It lands, the navigator is gone, and there was no position until now."""
+    guard = beating()
+    run(guard, 0.0, 8.0)
+    assert guard.vehicle.mode is FlightMode.LAND
+    guard.handle_vehicle(replace(guard.vehicle, lands_blind=True))
+    return guard
+
+
+def test_one_that_lands_blind_is_held_once_it_can_be_and_landed_again():
+    """Of a second navigator's estimates it made nothing: 211 m with the wind."""
+    guard = landing_blind()
+    assert [action for _, action in run(guard, 8.0, 30.0)] == [
+        DeadManAction.HOLD,
+        DeadManAction.LAND,
+    ]
+    assert guard.state is GuardState.LANDING
+
+
+def test_a_hold_that_such_a_one_does_not_take_is_asked_for_again_later():
+    guard, asked = landing_blind(), []
+    for i in range(8 * 50, 16 * 50):
+        if (action := guard.step(i / 50)) is not None:
+            asked.append((i / 50, action))
+    assert {action for _, action in asked} == {DeadManAction.HOLD}
+    times = [t_s for t_s, _ in asked]
+    assert [t_s for t_s in times if 10.1 < t_s < 13.9] == []
+    assert [t_s for t_s in times if t_s >= 13.9]
+    assert not guard.is_handed_over
+
+
+@given(st.sampled_from([FlightMode.MANUAL, FlightMode.RETURN, FlightMode.MISSION]), st.floats(0, 6))
+def test_whoever_takes_it_out_of_a_blind_landing_keeps_it(mode, when_s):
+    guard = landing_blind()
+    run(guard, 8.0, 8.0 + when_s)
+    guard.handle_vehicle(VehicleView(mode, True, True))
+    assert run(guard, 8.0 + when_s, 20.0) == []

@@ -1,5 +1,6 @@
 """The autopilot's own landing: asked for until it is flown, watched until the motors stop."""
 
+import math
 from collections.abc import Callable
 from enum import Enum
 
@@ -11,6 +12,7 @@ _ASK_AGAIN_S = 1.0
 _TAKEN_AFTER_S = 3.0  # modes told late are not somebody's choice yet
 _DISARM_AFTER_S = 10.0  # on the ground; autopilots do it by themselves after 2 to 3 s
 _SLOW_S = 120.0
+_STEADIES_S, _STEADIES_AGAIN_S = 3.0, 6.0  # for so long at most, and so seldom, is Hold asked for
 _HEARD_S = 1.0  # after so long a silence an answer may have been lost with the rest
 
 
@@ -48,6 +50,7 @@ class Landing:
         self._is_flown = False  # the landing itself, not a failsafe that happens to come down
         self._request: Request | None = None
         self._asked_s = t_s
+        self._steadied_s = -math.inf
         self._stands_since_s: float | None = None
         self._said_slow = self._was_silent = False
         self.refused: str | None = None
@@ -67,13 +70,25 @@ class Landing:
             self._said_slow = True
             self._say(f"not down after {_SLOW_S:.0f} s: still waiting")
         if vehicle.mode in COMING_DOWN:
-            self._is_flown = self._is_flown or vehicle.intended_mode is vehicle.mode
+            if vehicle.lands_blind and t_s - self._steadied_s >= _STEADIES_AGAIN_S:
+                self._steady(t_s)
+            steadies = t_s - self._steadied_s < _STEADIES_S
+            is_flown = self._is_flown or vehicle.intended_mode is vehicle.mode
+            self._is_flown = is_flown and not steadies
             return LandingState.COMING_DOWN
         if not self._is_changed(vehicle):
             self._ask(vehicle, t_s)
         elif self._is_told(vehicle, t_s):
             return self._taken()
         return LandingState.ASKED
+
+    def _steady(self, t_s: float) -> None:
+        """It has a position again, and would hold none until another mode was flown."""
+        self._say("it came down without a position, and has one again: Hold, then Land")
+        self._steadied_s = self._asked_s = t_s
+        self._modes_before = self._modes_before | {FlightMode.HOLD}
+        self._ours = self._ours | {FlightMode.HOLD}
+        self._request = self._autopilot.hold()
 
     def _is_changed(self, vehicle: VehicleState) -> bool:
         """By somebody: a failsafe of the autopilot's that comes not down is asked to land, too.

@@ -46,6 +46,7 @@ class VehicleView:
         fell_back: it says that nobody chose what it flies, a Hold or a mode of sticks that are not
             heard, and that one of ours is still the intended one. It would stay up in it.
         is_choice_untold: of such a mode it has not said yet who chose it.
+        lands_blind: it comes down as the wind has it, though it has a position again.
     """
 
     mode: FlightMode = FlightMode.UNKNOWN
@@ -55,6 +56,7 @@ class VehicleView:
     mode_is_of_now: bool = True
     fell_back: bool = False
     is_choice_untold: bool = False
+    lands_blind: bool = False
 
 
 class DeadManAction(Enum):
@@ -66,6 +68,7 @@ class DeadManAction(Enum):
 
 
 _MODE_SHOWS_S = 3.0  # heartbeats come once a second, and one may get lost
+_STEADIES_S, _STEADIES_AGAIN_S = 2.0, 6.0  # for so long at most, and so seldom, is Hold asked for
 _COMES_DOWN = frozenset({FlightMode.LAND, FlightMode.DESCEND})
 _STEERED = frozenset({FlightMode.OFFBOARD, FlightMode.TAKEOFF})
 # Modes that the aircraft may be in while each state is ours; any other one means that the pilot
@@ -108,6 +111,7 @@ class DeadMan:
     _flown: bool = False
     _down: bool = False
     _waits: bool = False
+    _steadied_t_s: float = -math.inf
     _takeover_t_s: float = 0.0
     _setpoint_t_s: float = -math.inf
     _command_t_s: float = 0.0
@@ -198,10 +202,13 @@ class DeadMan:
         acting_s = t_s - self._takeover_t_s
         if self.state is GuardState.BRAKING and acting_s >= self.config.brake_s:
             self._enter(self._after_braking(), t_s)
-        if self.state is GuardState.HOLDING and (
-            acting_s >= self.config.land_after_s or self.vehicle.position_ok is False
-        ):
+        is_long = acting_s >= self.config.land_after_s and not self._steadies(t_s)
+        if self.state is GuardState.HOLDING and (is_long or self.vehicle.position_ok is False):
             self._enter(GuardState.LANDING, t_s)
+        can_hold = self.state is GuardState.LANDING and self.vehicle.lands_blind
+        if can_hold and t_s - self._steadied_t_s >= _STEADIES_AGAIN_S:
+            self._steadied_t_s, self._land_seen = t_s, False
+            self._enter(GuardState.HOLDING, t_s)
         wants_nothing = self._waits or self._down or self.vehicle.landed or not self.vehicle.armed
         if wants_nothing or not self.vehicle.mode_is_of_now:
             return None
@@ -232,9 +239,12 @@ class DeadMan:
         self._waits = False
         if self.state not in _STILL_OURS:
             return
-        if self.state is not GuardState.LANDING and self.vehicle.mode in _COMES_DOWN:
+        comes_down = self.vehicle.mode in _COMES_DOWN and not self._steadies(t_s)
+        if self.state is not GuardState.LANDING and comes_down:
             self._enter(GuardState.LANDING, t_s)  # a failsafe may still end and leave it to us
         ours = _STILL_LANDING if self._land_seen else _STILL_OURS[self.state]
+        if self._steadies(t_s):
+            ours = ours | _COMES_DOWN  # which it leaves in a moment
         if self.vehicle.mode not in ours and not self.vehicle.fell_back:
             self._waits = self.vehicle.is_choice_untold
             self.state = self.state if self._waits else GuardState.STOOD_DOWN
@@ -255,6 +265,11 @@ class DeadMan:
         """It does what it was asked for last, or would but for a failsafe that stays up."""
         told = self.vehicle.fell_back or self.vehicle.is_choice_untold
         return told or self.vehicle.mode in _STEERED | _COMES_DOWN
+
+    def _steadies(self, t_s: float) -> bool:
+        """What landed blind has been asked to hold its place, and does not yet."""
+        waits = t_s - self._steadied_t_s < _STEADIES_S
+        return self.state is GuardState.HOLDING and waits and self.vehicle.mode in _COMES_DOWN
 
     def _left_alone_in_hold(self) -> bool:
         """A take-off, or a Hold that the navigator knew of: nobody would ever end it."""

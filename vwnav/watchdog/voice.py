@@ -83,7 +83,7 @@ class AutopilotEar:
         """What is known of the autopilot."""
         if t_s - self._landed_t_s > _LANDED_MAX_AGE_S:
             self._vehicle = replace(self._vehicle, landed=None)
-        seen = self._with_choice(t_s)
+        seen = replace(self._with_choice(t_s), lands_blind=self._modes.lands_blind(t_s))
         if self.heard_t_s > -math.inf and not self._knows_mode(t_s):
             return replace(seen, mode_is_of_now=False)
         return seen
@@ -136,7 +136,7 @@ class AutopilotEar:
                 case mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN:
                     self._handle_origin(message)
                 case _:
-                    self._handle_estimator(message)
+                    self._handle_estimator(message, t_s)
         return answers
 
     def _is_the_autopilots(self, packet: Packet) -> bool:
@@ -183,10 +183,11 @@ class AutopilotEar:
         heard = message.onboard_control_sensors_present & message.onboard_control_sensors_health
         self._has_radio = bool(heard & mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER)
 
-    def _handle_estimator(self, message: Any) -> None:
+    def _handle_estimator(self, message: Any, t_s: float) -> None:
         # ESTIMATOR_STATUS (PX4) and EKF_STATUS_REPORT (ArduPilot) share these bits.
         position_ok = bool(message.flags & _POSITION_FLAGS)
         self._vehicle = replace(self._vehicle, position_ok=position_ok)
+        self._modes.handle_position(position_ok, t_s)
 
     def _handle_landed_state(self, message: Any, t_s: float) -> None:
         landed = _LANDED.get(message.landed_state)

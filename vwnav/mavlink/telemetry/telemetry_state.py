@@ -173,6 +173,7 @@ class TelemetryState:
             intended_mode=self.modes.intended(t_s),
             tells_intent=self.kind is not AutopilotKind.PX4 or self.modes.tells_intent,
             failsafe=self.modes.is_failsafe(t_s),
+            lands_blind=self.modes.lands_blind(t_s),
             aiding=self.aiding(t_s),
             own_position_ned_m=self._own_position_about_run(t_s),
             complaints=tuple(self.texts.warnings_since(t_s - _COMPLAINTS_S)),
@@ -248,6 +249,7 @@ class TelemetryState:
 
     def _handle_estimator(self, fields: Fields, received_s: float) -> None:
         self._estimator = (received_s, fields["flags"])
+        self.modes.handle_position(bool(fields["flags"] & _POSITION), received_s)
 
     def _handle_local_position(self, fields: Fields, received_s: float) -> None:
         ned_m = np.array([np.nan if fields[axis] is None else fields[axis] for axis in "xyz"])
