@@ -79,8 +79,8 @@ def _may_be_tilt(history: FixHistory, by_m: float, attitudes: AttitudeHistory) -
     before shows it where the heading is another. One that was knocked is followed again at once.
     """
     newest, believed_s = history.newest, history.newest.t_last_fix_s
-    unseen_s = newest.t_s - newest.tracked_s
-    if by_m < LEAST_TILT_RAD * newest.agl_m or unseen_s > _FOLLOWED_S:
+    unseen = newest.anchor is not None and newest.t_s - newest.tracked_s > _FOLLOWED_S
+    if unseen or by_m < LEAST_TILT_RAD * newest.agl_m:
         return False
     then, now = (attitudes.exposure(t_s).yaw_rad for t_s in (history.oldest.t_s, newest.t_s))
     turned = abs(wrap_pi(now - then)) > _TURNED_RAD
