@@ -217,6 +217,14 @@ def test_one_image_that_turned_as_no_gyro_felt_is_that_of_a_camera_that_was_knoc
     assert turn.knocked
 
 
+def test_a_turn_between_two_quarters_is_told_in_the_end_and_not_one_of_them_in_turns():
+    """One by 45 degrees was a quarter turn, none, and a quarter turn again: landed 16 m off."""
+    turn_rad = math.radians(135.0)
+    for seed in range(40):
+        told_rad = turns_told(seed, turned_by(turn_rad), sigma_rad=0.03)[-1]
+        assert abs(math.remainder(told_rad - turn_rad, 2.0 * math.pi)) < 0.3, seed
+
+
 @pytest.mark.parametrize(("again", "turns"), [(False, [0.3]), (True, [])])
 def test_a_way_that_no_aircraft_flies_shows_a_knock_as_well_unless_the_next_image_does(
     again, turns

@@ -30,7 +30,8 @@ OVERSTATED = 1.25  # z - w, by fits whose attitudes are that wrong: 1.1 to 1.5 t
 # Of what the attitudes tell: images of another moment show less, of ground that repeats far more.
 _LEAST_SHOWN, _MOST_SHOWN = 0.7, 1.5
 _LEAST_TILTED_S, _LEAST_LIFTING_S = 2.0, 0.5  # of images; a quarter turn costs a take-off
-_QUARTER_RAD, _NEAR_QUARTER = 0.5 * math.pi, 2.0  # sigmas
+# Sigmas; once a turn was told: 45 degrees were a quarter turn, and none, and one, and none.
+_QUARTER_RAD, _NEAR_QUARTER, _NEAR_AGAIN = 0.5 * math.pi, 2.0, 1.0
 _TURN_DOUBT = 0.3  # one sigma of a turn told by tilts, as a share of it; of a quarter:
 _QUARTER_DOUBT_RAD = math.radians(8.0)
 
@@ -115,7 +116,8 @@ def hangs(
         repeats = knocked and mirrored > _MOST_SHOWN * told
         if mirrored < _LEAST_SHOWN * told or repeats or seen_s < _LEAST_LIFTING_S:
             return None
-        turned_rad, sigma_rad = _snapped(math.atan2(mirror_across, mirror_along), mirrored)
+        turned_rad = math.atan2(mirror_across, mirror_along)
+        turned_rad, sigma_rad = _snapped(turned_rad, _NEAR_QUARTER / math.sqrt(mirrored))
         return Recalibrated(t_s, turned_rad, sigma_rad, knocked=knocked, mirrored=True)
     turned_rad = math.atan2(across, along)
     is_quarter = abs(turned_rad) > _MOST_TURN_RAD
@@ -129,14 +131,15 @@ def hangs(
         return None
     sigma_rad = _TURN_DOUBT * abs(turned_rad)
     if is_quarter:
-        turned_rad, sigma_rad = _snapped(turned_rad, shown)
+        near = _NEAR_AGAIN if again else _NEAR_QUARTER
+        turned_rad, sigma_rad = _snapped(turned_rad, near / math.sqrt(shown))
     return Recalibrated(t_s, turned_rad, sigma_rad, knocked=knocked)
 
 
-def _snapped(turned_rad: float, shown: float) -> tuple[float, float]:
-    """To the quarter that it is near by what was shown of it, for so it is put on; its sigma."""
+def _snapped(turned_rad: float, near_rad: float) -> tuple[float, float]:
+    """To the quarter that it is near, for so it is put on; its sigma."""
     quarter_rad = _QUARTER_RAD * round(turned_rad / _QUARTER_RAD)
-    if abs(turned_rad - quarter_rad) < _NEAR_QUARTER / math.sqrt(shown):
+    if abs(turned_rad - quarter_rad) < near_rad:
         return wrap_pi(quarter_rad), _QUARTER_DOUBT_RAD
     return turned_rad, _TURN_DOUBT * abs(turned_rad)
 

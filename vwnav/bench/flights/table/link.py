@@ -31,14 +31,12 @@ def link_cut(where: str, start: AirStart, seconds: float, phase: Phase | None = 
     """A cut of 1 s and less is flown on after; a longer one ends in a landing.
 
     Short ones while it descends end on the ground at home, whether the autopilot's failsafe began
-    the landing or we did. Longer ones end near by, where the map shows enough after the cut to say
-    anew where it is. Else it comes down as the wind has it, and only its speed is bounded: after
-    30 s it is too low for the map, and so it is from the first second on where it was coming down
-    already.
+    the landing or we did. Longer ones end near by. After 30 s it has come down as the wind had it,
+    and only its speed is bounded.
     """
     short = seconds <= 1.0
     descends = start is DESCEND and phase is None
-    blind = not short and (seconds > 10.0 or descends)
+    blind = seconds > 10.0
     flown_on = short and not descends
     at_s = {Phase.ROUTE: BREAKS_AT_S, Phase.CLIMB: 4.0, Phase.RETURN: 6.0, Phase.DESCEND: 4.0}
     return Scenario(

@@ -16,6 +16,7 @@ FLOWN_IN_COPTER_MANNERS = {
     "battery critical",
     "link cut for 1 s on the route",
     "link cut for 10 s on the route",
+    "link cut for 10 s while descending",
     "link cut for 5 s on the route",
     "IMU turns on its side in flight",
     "navigator killed",
