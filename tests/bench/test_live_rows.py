@@ -11,8 +11,10 @@ import pytest
 
 from vwnav.bench.flights.live import campaign
 from vwnav.bench.flights.live.campaign import fly_live_row, live_rows
+from vwnav.bench.flights.live.session import LiveFlight
 from vwnav.bench.flights.table import TABLE, row_of
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
+from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import Phase
 from vwnav.sim.memory_link import MemoryLink
 from vwnav.vehicle import FlightMode
@@ -74,3 +76,17 @@ def test_a_bound_of_arducopters_own_counts_where_one_flies(manners, passes, monk
 def test_no_row_is_flown_live_that_wants_a_parameter_of_the_autopilot():
     named = [row.name for row in live_rows(TABLE, True) if row.setup.parameters]
     assert named == []
+
+
+def test_a_row_on_the_ground_begins_while_it_gets_ready_which_status_lines_alone_tell(tmp_path):
+    """Rows of the ground broke once it took off: their first phase that was said."""
+    truth = Truth(0.0, np.zeros(3), np.zeros(3), FlightMode.HOLD, False, True)
+    simulator = SimpleNamespace(
+        look=lambda _: truth, where=SimpleNamespace(frame_here=lambda: LocalFrame(41.1, 29.0, 0.0))
+    )
+    status = "  0.2 s  getting ready     N    -0.0 E     0.0 up  -0.0 m  sigma  5.0 m  fix none"
+    (tmp_path / "log").write_text(f"{status}\n{status}\n  5.4 s  taking off\n")
+    flight = LiveFlight(simulator, SimpleNamespace(), tmp_path, lambda _: None)  # type: ignore[arg-type]
+    flight.watch(lambda: True, 1.0)
+    assert [each.text for each in flight.track.phases] == ["getting ready", "taking off"]
+    flight.close()

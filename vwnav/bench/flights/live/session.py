@@ -277,8 +277,9 @@ class LiveFlight:
                 continue
             text = found["text"].strip()
             self._tell(text)
-            if text in _PHASES:
-                self.track.phases.append(LogLine(self.t_s, text))
+            phase = text.split("  ")[0]  # of a status line, which alone tells the first one
+            if phase in _PHASES and not (self.track.phases and self.track.phases[-1].text == phase):
+                self.track.phases.append(LogLine(self.t_s, phase))
             self.track.events.append(LogLine(self.t_s, text))
 
 
