@@ -205,8 +205,12 @@ class DeadMan:
         is_long = acting_s >= self.config.land_after_s and not self._steadies(t_s)
         if self.state is GuardState.HOLDING and (is_long or self.vehicle.position_ok is False):
             self._enter(GuardState.LANDING, t_s)
-        can_hold = self.state is GuardState.LANDING and self.vehicle.lands_blind
-        if can_hold and t_s - self._steadied_t_s >= _STEADIES_AGAIN_S:
+        blind = self.vehicle.lands_blind and not (self._down or self.vehicle.landed)
+        if (
+            self.state is GuardState.LANDING
+            and blind
+            and t_s - self._steadied_t_s >= _STEADIES_AGAIN_S
+        ):
             self._steadied_t_s, self._land_seen = t_s, False
             self._enter(GuardState.HOLDING, t_s)
         wants_nothing = self._waits or self._down or self.vehicle.landed or not self.vehicle.armed
