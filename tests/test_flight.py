@@ -842,6 +842,20 @@ def test_a_hold_that_is_refused_to_one_that_lands_blind_is_asked_for_seldom_and_
     assert not scene.vehicle.vehicle.armed
 
 
+def test_a_hold_that_one_that_lands_blind_takes_late_is_still_landed():
+    scene = on_route()
+    scene.flight.abort("interrupted")
+    scene.go_on(2.0)
+    scene.vehicle.answers_after = round(5.0 / DT_S)
+    scene.vehicle.be(lands_blind=True)
+    scene.run(lambda scene: scene.vehicle.vehicle.mode is FlightMode.HOLD)
+    scene.vehicle.answers_after = 1
+    scene.vehicle.be(lands_blind=False)
+    scene.run()
+    assert scene.vehicle.asked[-2:] == ["hold", "land"]
+    assert not scene.vehicle.vehicle.armed
+
+
 def test_a_pilot_who_chooses_hold_once_it_lands_again_keeps_it():
     scene = on_route()
     scene.flight.abort("interrupted")
@@ -849,7 +863,7 @@ def test_a_pilot_who_chooses_hold_once_it_lands_again_keeps_it():
     scene.vehicle.be(lands_blind=True)
     scene.run(lambda scene: scene.vehicle.vehicle.mode is FlightMode.HOLD)
     scene.vehicle.be(lands_blind=False)
-    scene.run(lambda scene: scene.vehicle.vehicle.mode is FlightMode.LAND).go_on(4.0)
+    scene.run(lambda scene: scene.vehicle.vehicle.mode is FlightMode.LAND).go_on(6.5)
     asked = list(scene.vehicle.asked)
     scene.vehicle.be(mode=FlightMode.HOLD)
     scene.go_on(10.0)

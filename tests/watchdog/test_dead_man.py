@@ -402,6 +402,21 @@ def test_a_hold_that_such_a_one_does_not_take_is_asked_for_again_later():
     assert not guard.is_handed_over
 
 
+@given(st.floats(0.1, 5.5))
+def test_a_hold_that_such_a_one_takes_late_is_still_landed(shows_s):
+    """Told late by a slow link, when Land is waited for again: nobody would ever end it."""
+    guard, asked = landing_blind(), []
+    for i in range(8 * 50, 20 * 50):
+        if i / 50 >= 8.0 + shows_s and guard.vehicle.mode is FlightMode.LAND and not asked:
+            guard.handle_vehicle(VehicleView(FlightMode.HOLD, True, True))
+        action = guard.step(i / 50)
+        if action is DeadManAction.LAND:
+            asked.append(i / 50)
+            guard.handle_vehicle(VehicleView(FlightMode.LAND, True, True))
+    assert len(asked) == 1
+    assert guard.state is GuardState.LANDING
+
+
 @given(st.sampled_from([FlightMode.MANUAL, FlightMode.RETURN, FlightMode.MISSION]), st.floats(0, 6))
 def test_whoever_takes_it_out_of_a_blind_landing_keeps_it(mode, when_s):
     guard = landing_blind()

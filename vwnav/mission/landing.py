@@ -12,7 +12,7 @@ _ASK_AGAIN_S = 1.0
 _TAKEN_AFTER_S = 3.0  # modes told late are not somebody's choice yet
 _DISARM_AFTER_S = 10.0  # on the ground; autopilots do it by themselves after 2 to 3 s
 _SLOW_S = 120.0
-_STEADIES_S, _STEADIES_AGAIN_S = 3.0, 6.0  # for so long at most, and so seldom, is Hold asked for
+_STEADIES_S = 6.0  # after a Hold that was asked for: until it is asked for again, one is ours
 _HEARD_S = 1.0  # after so long a silence an answer may have been lost with the rest
 
 
@@ -70,11 +70,11 @@ class Landing:
             self._said_slow = True
             self._say(f"not down after {_SLOW_S:.0f} s: still waiting")
         if vehicle.mode in COMING_DOWN:
-            if vehicle.lands_blind and t_s - self._steadied_s >= _STEADIES_AGAIN_S:
-                self._steady(t_s)
             steadies = t_s - self._steadied_s < _STEADIES_S
+            if vehicle.lands_blind and not steadies:
+                self._steady(t_s)
             is_flown = self._is_flown or vehicle.intended_mode is vehicle.mode
-            self._is_flown = is_flown and not steadies
+            self._is_flown = is_flown and t_s - self._steadied_s >= _STEADIES_S
             return LandingState.COMING_DOWN
         if not self._is_changed(vehicle):
             self._ask(vehicle, t_s)

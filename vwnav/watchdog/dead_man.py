@@ -206,11 +206,7 @@ class DeadMan:
         if self.state is GuardState.HOLDING and (is_long or self.vehicle.position_ok is False):
             self._enter(GuardState.LANDING, t_s)
         blind = self.vehicle.lands_blind and not (self._down or self.vehicle.landed)
-        if (
-            self.state is GuardState.LANDING
-            and blind
-            and t_s - self._steadied_t_s >= _STEADIES_AGAIN_S
-        ):
+        if self.state is GuardState.LANDING and blind and not self._may_hold(t_s):
             self._steadied_t_s, self._land_seen = t_s, False
             self._enter(GuardState.HOLDING, t_s)
         wants_nothing = self._waits or self._down or self.vehicle.landed or not self.vehicle.armed
@@ -253,7 +249,8 @@ class DeadMan:
             self._waits = self.vehicle.is_choice_untold
             self.state = self.state if self._waits else GuardState.STOOD_DOWN
         elif self.state is GuardState.LANDING:
-            self._land_seen = self._land_seen or self.vehicle.mode is FlightMode.LAND
+            lands = self.vehicle.mode is FlightMode.LAND and not self._may_hold(t_s)
+            self._land_seen = self._land_seen or lands
             self._down = self._down or self._has_come_down()
 
     def _has_come_down(self) -> bool:
@@ -269,6 +266,10 @@ class DeadMan:
         """It does what it was asked for last, or would but for a failsafe that stays up."""
         told = self.vehicle.fell_back or self.vehicle.is_choice_untold
         return told or self.vehicle.mode in _STEERED | _COMES_DOWN
+
+    def _may_hold(self, t_s: float) -> bool:
+        """A Hold is the one that was asked for, though it is told late; none is asked for again."""
+        return t_s - self._steadied_t_s < _STEADIES_AGAIN_S
 
     def _steadies(self, t_s: float) -> bool:
         """What landed blind has been asked to hold its place, and does not yet."""
