@@ -355,6 +355,21 @@ class Hover:
         self.worst_sigmas = max(self.worst_sigmas, sigmas)
 
 
+@pytest.mark.parametrize("followed", [True, False])
+def test_images_that_were_followed_and_are_not_any_more_are_no_camera_that_hangs_otherwise(
+    followed,
+):
+    """Frozen ones whose exposure hunts; one that is knocked is followed again at once."""
+    hover = Hover(1, 0.0)
+    hover.fly(5.9, np.zeros(2))
+    if followed:
+        hover.fly(0.1, np.zeros(2))
+        way_m = np.zeros(3)
+        hover.ekf.handle(OdometryMotion(5.9, 6.0, way_m, np.eye(3), 0.0, 0.01, AGL_M, 99))
+    hover.fly(6.0, np.array([-math.radians(8.0), 0.0]))
+    assert any("hangs otherwise" in each for each in hover.said) is not followed
+
+
 @settings(max_examples=20)
 @given(SEEDS, st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(6.0, 13.0))
 def test_a_camera_that_is_knocked_aslant_moves_no_place_and_is_known_once_it_has_turned(

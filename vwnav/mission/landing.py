@@ -70,8 +70,7 @@ class Landing:
             self._said_slow = True
             self._say(f"not down after {_SLOW_S:.0f} s: still waiting")
         if vehicle.mode in COMING_DOWN:
-            steadies = t_s - self._steadied_s < _STEADIES_S
-            if vehicle.lands_blind and not steadies:
+            if vehicle.lands_blind and t_s - self._steadied_s >= _STEADIES_S:
                 self._steady(t_s)
             is_flown = self._is_flown or vehicle.intended_mode is vehicle.mode
             self._is_flown = is_flown and t_s - self._steadied_s >= _STEADIES_S

@@ -41,7 +41,7 @@ _FAR, _LEAST_FAR = 1.35, 6
 _SCATTER = 0.025  # of their heights, as a share
 _LEAST_CLIMB = 1.18  # from the lowest of them to the highest, where no rangefinder bears them
 _TELLS_APART = 2.0  # times as much scatter, were it the ground
-_UPRIGHT_ALONG = 1.0  # as likely as not, of a camera that hangs as it should, or is turned
+_UPRIGHT_ALONG = 1.0  # log-likelihood ratio: rather those of a camera that hangs as it should
 _SLOW_M_S = 4.0  # as who takes off
 
 
