@@ -2,6 +2,8 @@
 
 import contextlib
 import random
+import subprocess
+import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,11 +11,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from vwnav.bench.flights.live import campaign
+from vwnav.bench.flights.live import campaign, session
 from vwnav.bench.flights.live.campaign import fly_live_row, live_rows
 from vwnav.bench.flights.live.session import LiveFlight
 from vwnav.bench.flights.table import TABLE, row_of
+from vwnav.bench.flights.thesis.live import fly_live_test
+from vwnav.bench.flights.thesis.tests import TESTS
 from vwnav.bench.flights.track import FlightTrace, LogLine, Truth
+from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import Phase
 from vwnav.sim.memory_link import MemoryLink
@@ -90,3 +95,30 @@ def test_a_row_on_the_ground_begins_while_it_gets_ready_which_status_lines_alone
     flight.watch(lambda: True, 1.0)
     assert [each.text for each in flight.track.phases] == ["getting ready", "taking off"]
     flight.close()
+
+
+def test_a_program_that_does_not_begin_is_quoted(tmp_path, monkeypatch):
+    """A folder in use was told as "the last it said is: nothing"; its flight is another one's."""
+    refused = f"vwnav: {tmp_path}/run already holds a run; give another folder with -o"
+    started = []
+
+    def ending(command, **more):
+        started.append(command)
+        return subprocess.Popen([sys.executable, "-c", f"print({refused!r})"], **more)
+
+    truth = Truth(0.0, np.zeros(3), np.zeros(3), FlightMode.HOLD, False, True)
+    where = SimpleNamespace(
+        reference="true", fly_words=list, frame_here=lambda: LocalFrame(41.1, 29.0, 0.0)
+    )
+    simulator = SimpleNamespace(
+        armed=False, pilot=None, manners="px4", where=where, look=lambda _: truth,
+        relay=SimpleNamespace(url="", autopilot_link=None),
+        hand_back=lambda: None, bring_down=lambda _: None,
+    )  # fmt: skip
+    (tmp_path / "run").mkdir()  # of a flight before
+    monkeypatch.setattr(session, "subprocess", SimpleNamespace(Popen=ending))
+    result = fly_live_row(row_of("link cut for 3 s on the route"), "link", simulator, tmp_path)
+    assert result.wrong == (f"it never got on route; the last it said is: {refused}",)
+    assert started[0][-1] == str(tmp_path / "run-2")
+    with pytest.raises(VwnavError, match=f"never got ready; the last it said is: {refused}"):
+        fly_live_test(TESTS["hover"], simulator, tmp_path, print)

@@ -145,8 +145,7 @@ def _reach(row: Scenario, flight: LiveFlight) -> list[str]:
         return flight.has_ended() or any(line.text == entered for line in flight.track.phases)
 
     if not flight.watch(stopped, _AIR_S) or flight.has_ended():
-        said = flight.track.events[-1].text if flight.track.events else "nothing"
-        return [f"it never got {entered}; the last it said is: {said}"]
+        return [f"it never got {entered}; the last it said is: {flight.last_words()}"]
 
     def at_speed() -> bool:
         return bool(np.hypot(*flight.track.truth[-1].velocity_ned_m_s[:2]) > _AT_SPEED_M_S)

@@ -28,6 +28,7 @@ from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mavlink.modes import AutopilotKind, flight_mode
 from vwnav.mission.mission import Phase
+from vwnav.recording.run_folder import unused
 from vwnav.sim.config import Manners
 from vwnav.types import Array
 from vwnav.vehicle import FlightMode
@@ -259,6 +260,11 @@ class LiveFlight:
         """The program has."""
         return self.process.poll() is not None
 
+    def last_words(self) -> str:
+        """The newest line of the program, also one that says why it ended."""
+        said = (self.folder / "log").read_text(errors="replace").strip()
+        return said.rpartition("\n")[2].strip() or "nothing"
+
     def place_ned_m(self) -> Array:
         """Where it truly is."""
         return self.simulator.look(self.home).position_ned_m
@@ -305,7 +311,7 @@ def live_flight(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "route.txt").write_text(route)
     (folder / "settings.toml").write_text(settings)
-    run = ["--config", str(folder / "settings.toml"), "-o", str(folder / "run")]
+    run = ["--config", str(folder / "settings.toml"), "-o", str(unused(folder / "run"))]
     command = [
         sys.executable, "-m", "vwnav", "fly", *simulator.where.fly_words(),
         "--route", str(folder / "route.txt"), "--connection", simulator.relay.url, *run,

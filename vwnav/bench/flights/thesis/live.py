@@ -12,6 +12,7 @@ from vwnav.bench.flights.live.session import LiveFlight, Simulator, live_flight
 from vwnav.bench.flights.live.whereabouts import place_ned_m
 from vwnav.bench.flights.thesis.samples import SAMPLE_S, Sample
 from vwnav.bench.flights.thesis.tests import GIVES_BACK_S, HOVER, RADIO_OFF_S, TAKES_S, FlightTest
+from vwnav.errors import VwnavError
 from vwnav.mission.mission import Phase
 from vwnav.vehicle import FlightMode
 
@@ -31,6 +32,9 @@ def fly_live_test(
         simulator: that flies; without a pilot's link a person plays his part.
         folder: of everything that is written.
         say: tells that person what to do next.
+
+    Raises:
+        VwnavError: the program ended before it flew.
     """
     route = "".join(
         f"{i + 1},{north},{east},{-down}\n"
@@ -46,7 +50,9 @@ def fly_live_test(
     tell = say if simulator.where.reference == "fused" else _to_nobody
     with live_flight(simulator, folder, route, settings=settings, tell=tell) as flight:
         sampler = LiveSampler(flight)
-        sampler()  # one at least: what did not get ready has ended by now
+        if flight.has_ended():
+            raise VwnavError(f"it never got ready; the last it said is: {flight.last_words()}")
+        sampler()  # one at least
         flight.see = sampler
         if test.name == "failsafe":
             _play_the_pilot(flight, say)
