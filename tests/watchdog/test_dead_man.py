@@ -390,6 +390,25 @@ def test_one_that_lands_blind_is_held_once_it_can_be_and_landed_again():
     assert guard.state is GuardState.LANDING
 
 
+def test_an_operator_reads_why_it_leaves_its_landing():
+    guard = landing_blind()
+    guard.step(8.0)
+    assert guard.words(GuardState.LANDING, 8.0) == "drifts as it lands: holding, then landing again"
+    run(guard, 8.02, 10.0)
+    assert guard.words(GuardState.HOLDING, 10.0) == "holds its place: landing again"
+
+
+@given(
+    state=st.sampled_from(GuardState), before=st.sampled_from(GuardState),
+    ended=st.booleans(), knows=st.sampled_from([True, False, None]), silent_s=st.floats(0.0, 1e6),
+)  # fmt: skip
+def test_what_an_operator_reads_fits_one_text(state, before, ended, knows, silent_s):
+    view = VehicleView(FlightMode.OFFBOARD, True, knows)
+    guard = DeadMan(state=state, vehicle=view, _ended=ended)
+    words = guard.words(before, silent_s)
+    assert 0 < len(words.encode("ascii")) <= 50
+
+
 def test_a_hold_that_such_a_one_does_not_take_is_asked_for_again_later():
     guard, asked = landing_blind(), []
     for i in range(8 * 50, 16 * 50):

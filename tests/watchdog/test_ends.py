@@ -30,6 +30,7 @@ def test_a_navigator_that_ends_in_any_way_is_braked_for_at_once_and_landed(numbe
     with flight() as flying:
         assert flying.first_still_s(flying.signal(number)) < 0.3 + SLACK_S
         wait_for(lambda: flying.peer.custom_mode == PX4_LAND, 8.0)
+        wait_for(lambda: [m for m in flying.peer.of("STATUSTEXT") if m.text.endswith(": landing")])
         assert flying.watchdog_lives()
 
 

@@ -7,7 +7,15 @@ from collections import deque
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from link_peer import COPTER_GUIDED, COPTER_LAND, IN_AIR, PX4_LAND, PX4_OFFBOARD, PX4_POSITION
+from link_peer import (
+    COPTER_GUIDED,
+    COPTER_LAND,
+    COPTER_LOITER,
+    IN_AIR,
+    PX4_LAND,
+    PX4_OFFBOARD,
+    PX4_POSITION,
+)
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from vwnav.watchdog.keepalive import GuardState, KeepAlive
@@ -176,13 +184,43 @@ def test_silence_ends_in_a_landing_and_the_word_of_ending_changes_nothing_of_it(
     assert stand.watchdog.finished
 
 
+def texts(messages) -> list[str]:
+    return [m.text for m in messages if m.get_type() == "STATUSTEXT"]
+
+
+@pytest.mark.parametrize("kind", [PX4, COPTER])
+def test_an_operator_reads_what_it_does_without_the_navigator(kind):
+    """Of a navigator that was killed nobody else would tell."""
+    stand = engaged(kind)
+    stand.beating = False
+    stand.watchdog.handle_navigator_end(stand.t_s)
+    assert texts(stand.run(4.0)) == [
+        "vwnav ended: braking",
+        "vwnav ended: holding, then landing",
+        "vwnav ended: landing",
+    ]
+    stand.mode = PX4_POSITION if kind == PX4 else COPTER_LOITER
+    assert texts(stand.run(1.0)) == ["vwnav ended: another mode flies"]
+
+
+def test_what_happens_to_it_on_the_ground_is_not_told():
+    stand = engaged()
+    stand.beating = False
+    told = texts(stand.run(5.0))
+    assert told[0] == "vwnav is silent: braking"
+    stand.landed = True
+    stand.run(1.0)
+    stand.mode = PX4_POSITION
+    assert texts(stand.run(1.0)) == []
+
+
 def test_it_leaves_when_the_navigator_has_ended_and_a_person_flies():
     stand = engaged()
     stand.mode = PX4_POSITION
     stand.run(0.4)
     stand.keepalive.close()
     stand.beating = False
-    assert stand.run(1.0) == []
+    assert names(stand.run(1.0)) == ["STATUSTEXT"]
     assert stand.watchdog.finished
 
 

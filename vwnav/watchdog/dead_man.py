@@ -194,6 +194,27 @@ class DeadMan:
         if not accepted and self.state is GuardState.HOLDING:
             self._enter(GuardState.LANDING, t_s)
 
+    def words(self, before: GuardState, t_s: float) -> str:
+        """What an operator reads of the state entered after `before`; up to 50 characters."""
+        who = "vwnav ended" if self._ended else "vwnav is silent"
+        match self.state:
+            case GuardState.RELAY:
+                return "vwnav is back, and flies again"
+            case GuardState.BRAKING:
+                return f"{who}: braking"
+            case GuardState.HOLDING if before is GuardState.LANDING:
+                return "drifts as it lands: holding, then landing again"
+            case GuardState.HOLDING:
+                return f"{who}: holding, then landing"
+            case GuardState.LANDING if before is GuardState.HOLDING and self._may_hold(t_s):
+                return "holds its place: landing again"
+            case GuardState.LANDING if self.vehicle.position_ok is False:
+                return f"{who}, place not known: landing"
+            case GuardState.LANDING:
+                return f"{who}: landing"
+            case GuardState.STOOD_DOWN:
+                return f"{who}: another mode flies"
+
     def step(self, t_s: float) -> DeadManAction | None:
         """What to send now; call it at 20 Hz or more."""
         if self.state is GuardState.RELAY:

@@ -140,7 +140,7 @@ class Watchdog:
             self._outbox.put_own(self._voice.say(action, self._ear, t_s), t_s)
         self._call(t_s)
         self._outbox.flush(self._links.autopilot, t_s)
-        self._log_change(before, t_s)
+        self._tell_change(before, t_s)
         self._end_what_hangs(t_s)
         self._follow_navigator(t_s)
 
@@ -338,11 +338,13 @@ class Watchdog:
         learned = self._guard.learned
         return Resume(guard.last, guard.velocity_ne_m_s, ear.origin, learned, ear.system_id)
 
-    def _log_change(self, before: GuardState, t_s: float) -> None:
+    def _tell_change(self, before: GuardState, t_s: float) -> None:
+        """In the log and, of an aircraft that flies, to the ground stations."""
         state, beat = self._guard.state, self._guard.last_beat
-        if state is not before:
-            what = before.name, state.name, self._guard.vehicle.mode.name
-            silent_s, phase = self._guard.silence_s(t_s), "" if beat is None else beat.phase
-            _log.warning(
-                "%s -> %s, mode %s, navigator silent for %.2f s (%s)", *what, silent_s, phase
-            )
+        if state is before:
+            return
+        what = before.name, state.name, self._guard.vehicle.mode.name
+        silent_s, phase = self._guard.silence_s(t_s), "" if beat is None else beat.phase
+        _log.warning("%s -> %s, mode %s, navigator silent for %.2f s (%s)", *what, silent_s, phase)
+        if self._flies(t_s):
+            self._outbox.put_own(self._voice.text(self._guard.words(before, t_s), self._ear), t_s)
