@@ -202,6 +202,7 @@ def _fly(
     pool = stack.enter_context(ThreadPoolExecutor(1, "map matching"))
     executor = AwaitedExecutor(pool, clock, clock.join("map matching"), MATCHING_LATE_S)
     notices = deque[str]()
+    watchdog.say = notices.append  # to the ground stations, too
     assembled = assemble(
         *plan.features, plan.pack, plan.camera, plan.local_frame,
         plan.config, executor, notices.append,

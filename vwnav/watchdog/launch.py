@@ -53,7 +53,7 @@ class WatchdogProcess:
         command: its command line.
         log: file for what it has to say; None leaves it on this process' stderr.
         clock: of the control loop.
-        say: takes a line when it was replaced, or guards no more.
+        say: the attribute, at first.
 
     Attributes:
         process: the one that was started last from here.
@@ -61,6 +61,7 @@ class WatchdogProcess:
         observer_url: where a second reader may listen along, a simulator's truth for one: a serial
             port, a TCP port and a UDP port that listens have one owner each.
         keepalive: to be beaten by the control loop.
+        say: takes a line when it was replaced, or guards no more.
 
     Raises:
         LinkError: the link cannot be opened, or the process does not come up.
@@ -80,7 +81,7 @@ class WatchdogProcess:
         self.observer_url = f"udpout://127.0.0.1:{ports['observer_port']}"
         channel = UdpChannel(ports["keepalive_port"], listens=False)
         self.keepalive = KeepAlive(channel, clock)
-        self._say, self._closing = say, False
+        self.say, self._closing = say, False
         threading.Thread(target=self._tell_of_changes, name="watchdog", daemon=True).start()
 
     def __enter__(self) -> "WatchdogProcess":
@@ -142,21 +143,21 @@ class WatchdogProcess:
         while not self._closing:
             time.sleep(_LOOKS_EVERY_S)
             if self.pid != pid:
-                self._say(f"the watchdog (process {pid}) has died: another one has taken its place")
+                self.say(f"the watchdog (process {pid}) has died: another one has taken its place")
                 guarding.close()
                 pid = self.pid
                 guarding = ProcessWatch(pid)
             report, was_silent = self.keepalive.last_report, is_silent
             is_silent = self.keepalive.unanswered_s > _SILENT_S
             if is_silent and not was_silent:
-                self._say(_UNGUARDED)
+                self.say(_UNGUARDED)
             if is_silent and time.monotonic() >= again_s:
                 self._start_again(guarding)
                 again_s = time.monotonic() + _SILENT_S
             if report is not None and report.has_spare is not has_spare:
                 has_spare = report.has_spare
                 if not has_spare:
-                    self._say(_THE_LAST)
+                    self.say(_THE_LAST)
 
 
 def start_watchdog(
