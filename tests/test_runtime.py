@@ -34,6 +34,8 @@ ESTIMATE = Estimate(
     t_last_fix_s=None,
     reset_counter=0,
 )
+RUNAWAY = replace(ESTIMATE, velocity_ned_m_s=np.array([60.0, 0.0, 0.0]))
+LOST = "the estimate is not sent any more"
 STANDING = replace(FLYING, armed=False, in_air=False)
 
 
@@ -290,6 +292,22 @@ def test_what_the_filter_found_out_is_told_to_the_record_and_to_the_ground_stati
     assert [text for text in flown.record.events if text in found] == found
 
 
+@pytest.mark.parametrize(
+    ("path", "images", "told"),
+    [
+        (Path(broken=True), None, "a picture could not be used: ValueError('bad picture')"),
+        (None, Images([OSError("cable")]), "the camera fails, flying on without pictures: cable"),
+        (Path(believed=RUNAWAY), None, f"{LOST}: the estimate moves at 60 m/s"),
+    ],
+    ids=["picture", "camera", "estimate"],
+)
+def test_what_befalls_the_loops_is_told_to_the_ground_stations_too(path, images, told):
+    """In flight nobody reads the companion's screen."""
+    flown = fly(path, Mission(ticks=20), images)
+    assert told in flown.record.events
+    assert told in flown.link.texts
+
+
 def test_a_step_of_the_link_that_fails_is_tried_again():
     flown = fly(link=Link(broken_steps=3))
     assert flown.end.reason is None
@@ -297,7 +315,7 @@ def test_a_step_of_the_link_that_fails_is_tried_again():
 
 
 def test_a_runaway_estimate_is_neither_sent_nor_flown_on_and_the_mission_knows_why():
-    flown = fly(Path(believed=replace(ESTIMATE, velocity_ned_m_s=np.array([60.0, 0.0, 0.0]))))
+    flown = fly(Path(believed=RUNAWAY))
     assert flown.link.sent == []
     assert flown.mission.navigation[-1].estimate is None
     assert "60 m/s" in flown.mission.navigation[-1].lost
@@ -337,6 +355,7 @@ def test_what_breaks_the_mission_is_raised_once_it_is_down_and_estimates_go_on_t
     began_s = time.monotonic()
     with pytest.raises(ZeroDivisionError):
         fly(mission=Mission(error=ZeroDivisionError()), link=link)
+    assert "the mission broke: the watchdog lands the aircraft (ZeroDivisionError())" in link.texts
     assert time.monotonic() - began_s > 0.9
     assert link.steps > 30
 
@@ -349,6 +368,7 @@ def test_a_mission_that_hangs_is_one_that_broke():
     with pytest.raises(VwnavError, match="the loop of the mission hangs"):
         fly(mission=Mission(hangs=True), link=link, record=record)
     assert MISSION_HANGS in record.events
+    assert MISSION_HANGS in link.texts
     assert link.steps > 120  # estimates went on
 
 

@@ -118,7 +118,6 @@ class FlightRuntime:
         for measurement in self._autopilot.take_measurements():
             self._pipeline.feed(measurement)
             self._turns += 1  # who catches up does not hang
-        self._tell_what_was_noticed()
         self._obey_ground_stations()
         believed = self._pipeline.estimate(t_s)
         vehicle = self._autopilot.state()
@@ -135,10 +134,11 @@ class FlightRuntime:
             self._autopilot.send_estimate(sent)
         if believed is not None and bool(lost) != bool(before.lost):
             said = f"the estimate is not sent any more: {lost}" if lost else "estimates again"
-            self._watcher.event(said)
+            self._notices.append(said)
+        self._tell_what_was_noticed()
 
     def _tell_what_was_noticed(self) -> None:
-        """What the filter found out, to the record, the screen and the ground stations."""
+        """By filter and loops, to the record, the screen and the ground stations."""
         while self._notices:
             text = self._notices.popleft()
             self._watcher.event(text)
@@ -183,7 +183,7 @@ class FlightRuntime:
         except Exception as error:
             log.exception("the mission broke")
             self.failure = error
-            self._watcher.event(f"the mission broke: the watchdog lands the aircraft ({error!r})")
+            self._notices.append(f"the mission broke: the watchdog lands the aircraft ({error!r})")
             return
         vehicle = self._autopilot.state()
         self._watcher.saw_tick(t_s, navigation.estimate, vehicle)
@@ -193,7 +193,7 @@ class FlightRuntime:
         hangs = self._ticks > 0 and self._mission_stall.look(self._ticks)
         if hangs and self.failure is None:
             self.failure = VwnavError("the loop of the mission hangs")
-            self._watcher.event("the mission hangs: the watchdog lands the aircraft")
+            self._notices.append("the mission hangs: the watchdog lands the aircraft")
 
     def step_vision(self, frame: Frame, t_s: float) -> None:
         """One image through the pipeline; one that breaks it is an image that told nothing."""
@@ -316,7 +316,7 @@ class FlightRuntime:
                 continue
             if frame is None:
                 if not self._stop.is_set():
-                    self._watcher.event("the camera has stopped: flying on without pictures")
+                    self._notices.append("the camera has stopped: flying on without pictures")
                 return
             while self.awaits_telemetry(frame, clock()) and not self._stop.is_set():
                 clock.wait_until(clock() + _ATTITUDE_POLL_S)
@@ -347,4 +347,4 @@ class FlightRuntime:
     def _say_once(self, about: str, text: str) -> None:
         if about not in self._said:
             self._said.add(about)
-            self._watcher.event(text)
+            self._notices.append(text)
