@@ -61,6 +61,7 @@ class PointVehicle:
     stays_armed: bool = False
     setpoints: int = 0
     texts: list[str] = field(default_factory=list)
+    warned: list[str] = field(default_factory=list)
     under_way: tuple[str, Request, int] | None = None
 
     def state(self) -> VehicleState:
@@ -99,8 +100,9 @@ class PointVehicle:
     def land(self) -> Request:
         return self.ask("land")
 
-    def send_text(self, text: str) -> None:
+    def send_text(self, text: str, warns: bool = True) -> None:
         self.texts.append(text)
+        self.warned += [text] if warns else []
 
     def send_velocity(self, setpoint: VelocitySetpoint) -> None:
         self.setpoints += 1
@@ -1241,6 +1243,8 @@ def test_what_it_decides_is_told_to_the_ground_stations_in_the_same_words():
     scene.go_on(1.0)
     assert scene.vehicle.texts[-1] == "all well again: going on"
     assert scene.vehicle.texts == scene.said
+    progress = {phase.value for phase in Phase}
+    assert scene.vehicle.warned == [text for text in scene.said if text not in progress]
 
 
 def taken() -> Scene:

@@ -137,16 +137,16 @@ class Flight:
         else:
             self._safety.obey(order)
 
-    def _say(self, text: str) -> None:
+    def _say(self, text: str, warns: bool = True) -> None:
         """To whoever is at the keyboard, and to the ground stations; "" is not said."""
         if text:
             self._crew.say(text)
-            self._autopilot.send_text(text)
+            self._autopilot.send_text(text, warns)
 
     def _enter(self, phase: Phase, t_s: float) -> None:
         self.phase, self._phase_since_s = phase, t_s
         self._route.begin_phase()
-        self._say(phase.value)
+        self._say(phase.value, warns=False)
 
     def _in_phase_s(self, t_s: float) -> float:
         return t_s - (self._phase_since_s if self._phase_since_s is not None else t_s)

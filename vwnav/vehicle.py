@@ -217,8 +217,8 @@ class Autopilot(Protocol):
         """Ask for a velocity, in Offboard."""
         ...
 
-    def send_text(self, text: str) -> None:
-        """Tell the ground stations."""
+    def send_text(self, text: str, warns: bool = True) -> None:
+        """Tell the ground stations; what warns is for who looks at the view of the pilot, too."""
         ...
 
     def take_orders(self) -> tuple[tuple[Order, ...], tuple[str, ...]]:

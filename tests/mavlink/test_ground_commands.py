@@ -119,11 +119,14 @@ def test_a_station_is_heard_by_its_heartbeat_for_five_seconds():
     assert not bench.autopilot.state().ground_station
 
 
-@given(st.text(st.characters(min_codepoint=32), max_size=160))
-def test_texts_reach_ground_stations_whole(text):
+@given(st.text(st.characters(min_codepoint=32), max_size=160), st.booleans())
+def test_texts_reach_ground_stations_whole(text, warns):
+    """Mission Planner shows warnings on its HUD, and no notice."""
     bench = Bench()
-    bench.autopilot.send_text(text)
+    bench.autopilot.send_text(text, warns)
+    severity = mavlink.MAV_SEVERITY_WARNING if warns else mavlink.MAV_SEVERITY_NOTICE
     chunks = sorted(bench.sent("STATUSTEXT"), key=lambda each: each.chunk_seq)
+    assert {each.severity for each in chunks} <= {severity}
     assert all(len(each.text) <= 50 for each in chunks)
     assert "".join(each.text for each in chunks) == text.encode("ascii", "replace").decode()
     assert len({each.id for each in chunks}) <= 1

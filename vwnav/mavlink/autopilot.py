@@ -21,7 +21,8 @@ from vwnav.types import Estimate, Telemetry
 from vwnav.vehicle import Finding, FlightMode, Order, Request, VehicleState, VelocitySetpoint
 
 _log = logging.getLogger(__name__)
-_CHUNK, _NOTICE = 50, 5  # of STATUSTEXT: bytes, severity
+_CHUNK = 50  # bytes of a STATUSTEXT
+_WARNING, _NOTICE = 4, 5  # severities: Mission Planner shows the first on its HUD
 _LONGEST_ROUND_TRIP_S = 1.0  # before take-off
 _LEAST_ATTITUDE_HZ = 18.0  # of 20 that are asked for at least
 _PATIENCE_S = (0.25, 2.0)  # for an answer, at least and at most
@@ -178,8 +179,9 @@ class LinkedAutopilot:
             self._procedures.steered(setpoint, self._clock())
             self._outputs.setpoint(setpoint)
 
-    def send_text(self, text: str) -> None:
+    def send_text(self, text: str, warns: bool = True) -> None:
         """Tell the ground stations (STATUSTEXT, ASCII); a long text goes in chunks of 50."""
+        severity = _WARNING if warns else _NOTICE
         text = text.encode("ascii", "replace").decode()
         chunks = [text[i : i + _CHUNK] for i in range(0, len(text), _CHUNK)]
         with self._lock:
@@ -187,7 +189,7 @@ class LinkedAutopilot:
             number = self._texts if len(chunks) > 1 else 0
             for sequence, words in enumerate(chunks):
                 self._port.send("STATUSTEXT", {
-                    "severity": _NOTICE, "text": words, "id": number, "chunk_seq": sequence,
+                    "severity": severity, "text": words, "id": number, "chunk_seq": sequence,
                 })  # fmt: skip
 
     def take_orders(self) -> tuple[tuple[Order, ...], tuple[str, ...]]:
