@@ -255,6 +255,21 @@ def test_nothing_is_asked_while_the_list_is_not_complete_and_that_is_unsafe():
     assert scene.flight.end.unsafe
 
 
+def test_what_keeps_it_on_the_ground_is_told_to_who_stands_at_a_ground_station():
+    """A service has no screen; at first all is missing for a moment, which nobody need read."""
+    battery, camera = Check("battery", "FAIL", "30 %"), Check("camera", "FAIL", "no picture")
+    scene = Scene(checks=(battery, camera), arms=False).run(limit_s=2.0)
+    scene.checks = (battery,)
+    scene.go_on(2.0)
+    assert scene.vehicle.warned == []
+    scene.go_on(35.0)
+    assert scene.vehicle.warned == ["not ready: battery: 30 %"] * 2  # who connects late reads it
+    scene.checks = ()
+    scene.go_on(35.0)
+    assert len(scene.vehicle.warned) == 3
+    assert scene.vehicle.warned[-1].startswith("ready: ")
+
+
 def test_a_refused_arming_ends_the_flight_with_the_autopilots_words():
     scene = Scene(vehicle=PointVehicle(refuse={"arm": ["denied: compass"] * 9})).run()
     assert "denied: compass" in scene.flight.end.reason
