@@ -252,6 +252,7 @@ def test_nothing_is_asked_while_the_list_is_not_complete_and_that_is_unsafe():
     scene = Scene(checks=(NOT_READY,)).run()
     assert scene.vehicle.asked == []
     assert "local position" in scene.flight.end.reason
+    assert scene.vehicle.warned[-1] == scene.flight.end.reason
     assert scene.flight.end.unsafe
 
 

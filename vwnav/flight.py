@@ -179,6 +179,7 @@ class Flight:
         elif outcome.not_ours:
             self._release(t_s, str(outcome.reason))
         else:
+            self._say(outcome.reason or "")
             self._finish(outcome.reason, outcome.unsafe)
 
     def _rejoin_on_ground(self, t_s: float) -> None:
@@ -305,8 +306,6 @@ class Flight:
     def _go_on(self, following: Next | None, t_s: float, vehicle: VehicleState) -> None:
         """Enter the phase that follows, if one does."""
         match following:
-            case None:
-                pass
             case Next(Phase.LAND, reason):
                 self._begin_landing(t_s, vehicle, reason)
             case Next(Phase.RELEASED, str(reason)):

@@ -14,6 +14,7 @@ import pytest
 from vwnav.bench.flights.live import campaign, session
 from vwnav.bench.flights.live.campaign import fly_live_row, live_rows
 from vwnav.bench.flights.live.session import LiveFlight
+from vwnav.bench.flights.rows import RowResult
 from vwnav.bench.flights.table import TABLE, row_of
 from vwnav.bench.flights.thesis.live import fly_live_test
 from vwnav.bench.flights.thesis.tests import TESTS
@@ -22,21 +23,23 @@ from vwnav.errors import VwnavError
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.mission.mission import Phase
 from vwnav.sim.memory_link import MemoryLink
-from vwnav.vehicle import FlightMode
+from vwnav.vehicle import FlightMode, Order
 
 
 class CutFlight:
     """A live flight whose link is cut on the route: down after that, so many metres away."""
 
-    def __init__(self, manners: str, landed_m: float, folder: Path) -> None:
+    def __init__(self, manners: str, landed_m: float, folder: Path, flies: bool = True) -> None:
+        self.ordered: list[Order] = []
+        self._flies = flies
         self.simulator = SimpleNamespace(
             manners=manners, armed=True, pilot=None,
-            hand_back=lambda: None, bring_down=lambda _: None,
+            order=self.ordered.append, bring_down=lambda _: None,
             relay=SimpleNamespace(autopilot_link=MemoryLink(time.monotonic, random.Random(1))),
         )  # fmt: skip
         self.track, self.begun_s, self.t_s = FlightTrace(), time.monotonic(), 60.0
         self.track.phases.append(LogLine(50.0, Phase.ROUTE.value))
-        self.process, self.folder = SimpleNamespace(pid=1), folder
+        self.process, self.folder = SimpleNamespace(pid=1, send_signal=print), folder
         self.see = lambda: None
         self._landed_m, self._broken = landed_m, False
         self._look(0.0)
@@ -65,17 +68,37 @@ class CutFlight:
 
     def _look(self, north_m: float) -> None:
         place, still, armed = np.array([north_m, 0.0, 0.0]), np.zeros(3), self.simulator.armed
-        now_s = time.monotonic()
-        self.track.truth.append(Truth(now_s, place, still, FlightMode.LAND, armed, not armed))
+        now_s, stands = time.monotonic(), not (armed and self._flies)
+        self.track.truth.append(Truth(now_s, place, still, FlightMode.LAND, armed, stands))
+
+
+def live(name: str, flight: CutFlight, monkeypatch: pytest.MonkeyPatch) -> RowResult:
+    monkeypatch.setattr(campaign, "live_flight", lambda *_: contextlib.nullcontext(flight))
+    return fly_live_row(row_of(name), "link", flight.simulator, flight.folder)
 
 
 @pytest.mark.parametrize(("manners", "passes"), [("px4", False), ("copter", True)])
 def test_a_bound_of_arducopters_own_counts_where_one_flies(manners, passes, monkeypatch, tmp_path):
     flight = CutFlight(manners, 40.0, tmp_path)
-    monkeypatch.setattr(campaign, "live_flight", lambda *_: contextlib.nullcontext(flight))
-    row = row_of("link cut for 3 s on the route")
-    result = fly_live_row(row, "link", flight.simulator, tmp_path)
+    result = live("link cut for 3 s on the route", flight, monkeypatch)
     assert result.passed is passes, result.wrong
+
+
+def test_motors_that_ran_on_the_ground_are_no_take_off(monkeypatch, tmp_path):
+    """What breaks at the arming has always seen them run."""
+    flight = CutFlight("px4", 0.0, tmp_path, flies=False)
+    result = live("link cut for 3 s while arming", flight, monkeypatch)
+    assert result.passed, result.wrong
+
+
+@pytest.mark.parametrize(("name", "ordered"), [
+    ("link cut for 1 s while returning", [Order.RETURN]), ("link cut for 1 s on the route", []),
+])  # fmt: skip
+def test_a_row_of_the_way_home_begins_by_an_order(name, ordered, monkeypatch, tmp_path):
+    """No route enters that phase by itself: such rows never began."""
+    flight = CutFlight("px4", 0.0, tmp_path)
+    live(name, flight, monkeypatch)
+    assert flight.ordered == ordered
 
 
 def test_no_row_is_flown_live_that_wants_a_parameter_of_the_autopilot():
@@ -113,7 +136,7 @@ def test_a_program_that_does_not_begin_is_quoted(tmp_path, monkeypatch):
     simulator = SimpleNamespace(
         armed=False, pilot=None, manners="px4", where=where, look=lambda _: truth,
         relay=SimpleNamespace(url="", autopilot_link=None),
-        hand_back=lambda: None, bring_down=lambda _: None,
+        order=lambda _: None, bring_down=lambda _: None,
     )  # fmt: skip
     (tmp_path / "run").mkdir()  # of a flight before
     monkeypatch.setattr(session, "subprocess", SimpleNamespace(Popen=ending))

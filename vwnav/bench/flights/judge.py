@@ -47,7 +47,7 @@ def judge(flown: Flown) -> FlightVerdict:
 
 def _ending(flown: Flown, off_m: float | None) -> list[str]:
     scenario, last = flown.scenario, flown.track.truth[-1]
-    flew = any(each.armed and not each.on_ground for each in flown.track.truth)
+    flew = flown.track.flew
     bound_m = scenario.lands_within_m
     match scenario.ending:
         case Ending.LANDED if last.armed or not last.on_ground:

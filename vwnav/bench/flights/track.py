@@ -79,6 +79,11 @@ class FlightTrace:
         position = near.position_ned_m + (t_s - near.t_s) * near.velocity_ned_m_s
         return replace(near, t_s=t_s, position_ned_m=position)
 
+    @property
+    def flew(self) -> bool:
+        """It has been in the air."""
+        return any(each.armed and not each.on_ground for each in self.truth)
+
     def modes(self) -> list[LogLine]:
         """Changes of the flown mode."""
         found: list[LogLine] = []

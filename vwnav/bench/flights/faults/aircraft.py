@@ -220,7 +220,7 @@ class PilotHandsBack(Lasting):
         """One command, to the navigator itself."""
         vehicle = world.core.vehicle
         vehicle.pilot.plan = replace(vehicle.pilot.plan, switch_at_s=None)
-        world.autopilot_link.a.write(asks_to_go_on(*world.navigator.port.own_id))
+        world.autopilot_link.a.write(order_packet(Order.GO_ON, *world.navigator.port.own_id))
         world.note("pilot hands back")
 
 
@@ -232,16 +232,12 @@ class StationOrders(Lasting):
 
     def begin(self, world: FlightStage) -> None:
         """One command, to the navigator itself."""
-        world.autopilot_link.a.write(_packet_of(self.order, *world.navigator.port.own_id))
+        world.autopilot_link.a.write(order_packet(self.order, *world.navigator.port.own_id))
         world.note(f"the ground station orders {self.order.value}")
 
 
-def asks_to_go_on(system: int, component: int) -> bytes:
-    """A packet of a ground station to the navigator that has these ids."""
-    return _packet_of(Order.GO_ON, system, component)
-
-
-def _packet_of(order: Order, system: int, component: int) -> bytes:
+def order_packet(order: Order, system: int, component: int) -> bytes:
+    """Of a ground station to the navigator that has these ids."""
     station = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
     number, goes_on = _ORDERS[order]
     command = mavlink.MAVLink_command_long_message(

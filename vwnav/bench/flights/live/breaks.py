@@ -12,6 +12,7 @@ from vwnav.bench.flights.live.processes import guarding, send, stop_for
 from vwnav.bench.flights.live.relay import MavlinkPilot
 from vwnav.bench.flights.scenario import Break
 from vwnav.bench.flights.stage import Fault, FlightStage
+from vwnav.vehicle import Order
 
 _PATCH = "patch"
 _ON_THE_LINK = (
@@ -75,13 +76,13 @@ class Reach:
         navigator: its process.
         folder: of the flight's files.
         pilot: who flies the aircraft by a link of his own; None without one.
-        hand_back: gives the aircraft back to the program.
+        order: has a ground station ask the program for something.
     """
 
     navigator: "subprocess.Popen[bytes]"
     folder: Path
     pilot: MavlinkPilot | None
-    hand_back: Callable[[], None]
+    order: Callable[[Order], None]
 
 
 def by_our_means(fault: Fault, number: int, reach: Reach) -> Fault:
@@ -106,7 +107,7 @@ def by_our_means(fault: Fault, number: int, reach: Reach) -> Fault:
             assert pilot is not None
             return _ByOurMeans(fault, pilot.take_over)
         case aircraft.PilotHandsBack():
-            return _ByOurMeans(fault, reach.hand_back)
+            return _ByOurMeans(fault, lambda: reach.order(Order.GO_ON))
         case link.StationCommands(mode):
             assert pilot is not None
             return _ByOurMeans(fault, lambda: pilot.ask(mode))

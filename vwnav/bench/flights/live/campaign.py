@@ -19,11 +19,11 @@ from vwnav.bench.flights.setup import Setup
 from vwnav.bench.flights.table.manners import in_manners
 from vwnav.mission.mission import Phase
 from vwnav.types import Array
-from vwnav.vehicle import FlightMode
+from vwnav.vehicle import FlightMode, Order
 
 ROUTE_TEXT = "1,45,0,50\n2,45,-40,50\n"
 _AIR_S, _SPEED_S, _BREAKS_S, _DOWN_S = 300.0, 30.0, 150.0, 100.0
-_AT_SPEED_M_S = 4.0
+_AT_SPEED_M_S, _FAR_M = 4.0, 55.0
 _STORM_M_S = 8.0
 
 
@@ -108,7 +108,7 @@ class _LiveBreaks:
         self._began_s = flight.t_s - (first.at_s if at_speed else 0.0)
         self._flight, self._stage = flight, _LiveStage(flight, self._began_s)
         simulator = flight.simulator
-        reach = Reach(flight.process, flight.folder, simulator.pilot, simulator.hand_back)
+        reach = Reach(flight.process, flight.folder, simulator.pilot, simulator.order)
         self._planned = [
             Planned(replace(each, fault=by_our_means(each.fault, i, reach)))
             for i, each in enumerate(row.breaks)
@@ -140,6 +140,9 @@ def _reach(row: Scenario, flight: LiveFlight) -> list[str]:
     if start is None or start.phase is None:
         return []
     entered = start.phase.value
+    if start.phase is Phase.RETURN:
+        flight.watch(lambda: _is_far(flight) or flight.has_ended(), _AIR_S)
+        flight.simulator.order(Order.RETURN)
 
     def stopped() -> bool:
         return flight.has_ended() or any(line.text == entered for line in flight.track.phases)
@@ -153,6 +156,12 @@ def _reach(row: Scenario, flight: LiveFlight) -> list[str]:
     if start.phase is Phase.ROUTE:
         flight.watch(at_speed, _SPEED_S)
     return []
+
+
+def _is_far(flight: LiveFlight) -> bool:
+    """On its route, and its way home takes longer than any row waits before it breaks."""
+    off_m = float(np.hypot(*flight.place_ned_m()[:2]))
+    return flight.is_in(Phase.ROUTE) and off_m > _FAR_M
 
 
 def _follow(row: Scenario, flight: LiveFlight, breaks: _LiveBreaks) -> list[str]:
@@ -198,8 +207,8 @@ def _judge(row: Scenario, flight: LiveFlight, broke_s: float, broke_at: Any) -> 
             wrong.append(f"it landed {off_m:.1f} m off, {row.lands_within_m:.0f} m are allowed")
         case Ending.FLIES_ON if not _flies_on(flight):
             wrong.append(f"it does not fly on: {flight.track.phases[-1].text}")
-        case Ending.STAYED if any(each.armed for each in track.truth):
-            wrong.append("its motors have run")
+        case Ending.STAYED if track.flew and not (row.breaks[0].armed and flight.is_down()):
+            wrong.append("it took off")  # once armed it may have been told to before that broke
         case Ending.PILOT | Ending.OTHERS if not flight.is_in(Phase.RELEASED):
             wrong.append(f"nobody else has it: {flight.track.phases[-1].text}")
     limit_m_s = row.setup.config.limits.speed_max_m_s + row.setup.wind_m_s + row.faster_m_s

@@ -14,7 +14,7 @@ from typing import Any
 
 from pymavlink.dialects.v20.ardupilotmega import MAV_COMP_ID_AUTOPILOT1
 
-from vwnav.bench.flights.faults.aircraft import asks_to_go_on
+from vwnav.bench.flights.faults.aircraft import order_packet
 from vwnav.bench.flights.live.relay import MavlinkPilot, Relay
 from vwnav.bench.flights.live.whereabouts import (
     ByItself,
@@ -31,7 +31,7 @@ from vwnav.mission.mission import Phase
 from vwnav.recording.run_folder import unused
 from vwnav.sim.config import Manners
 from vwnav.types import Array
-from vwnav.vehicle import FlightMode
+from vwnav.vehicle import FlightMode, Order
 
 _LOOK_S = 0.05
 _MAP_S = 900.0  # to draw the map of a new place, on a machine that others load
@@ -142,10 +142,10 @@ class Simulator:
         sent = self.heard.get("VISION_POSITION_ESTIMATE")
         return None if sent is None else (sent.get_srcSystem(), sent.get_srcComponent())
 
-    def hand_back(self) -> None:
-        """The pilot's ground station gives the aircraft back to the program, on the link to it."""
+    def order(self, order: Order) -> None:
+        """A ground station asks the program for something, on the link to it."""
         if self.navigators_id is not None:
-            self.relay.autopilot_link.a.write(asks_to_go_on(*self.navigators_id))
+            self.relay.autopilot_link.a.write(order_packet(order, *self.navigators_id))
 
     def bring_down(self, timeout_s: float) -> None:
         """Wait until it is disarmed; a pilot lands it.

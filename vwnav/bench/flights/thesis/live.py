@@ -14,7 +14,7 @@ from vwnav.bench.flights.thesis.samples import SAMPLE_S, Sample
 from vwnav.bench.flights.thesis.tests import GIVES_BACK_S, HOVER, RADIO_OFF_S, TAKES_S, FlightTest
 from vwnav.errors import VwnavError
 from vwnav.mission.mission import Phase
-from vwnav.vehicle import FlightMode
+from vwnav.vehicle import FlightMode, Order
 
 _ROUTE_S, _DOWN_S, _PERSON_S = 150.0, 240.0, 60.0
 _ISA_M, _ISA_POWER = 44330.8, 0.190263  # ISO 2533: height of a ratio of pressures
@@ -78,7 +78,7 @@ def _play_the_pilot(flight: LiveFlight, say: Say) -> None:
         return
     pilot.take_over()
     _wait(flight, GIVES_BACK_S - TAKES_S)
-    flight.simulator.hand_back()
+    flight.simulator.order(Order.GO_ON)
     _wait(flight, RADIO_OFF_S - GIVES_BACK_S)
     pilot.switch_radio_off()
 
