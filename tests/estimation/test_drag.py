@@ -56,6 +56,16 @@ def test_without_images_the_velocity_stays_known_and_the_truth_within_5_sigma(se
     assert np.hypot(*run.rows.error_ne_m[-1]) < 3.0 * 30.0
 
 
+@pytest.mark.parametrize("seed", first_quick([0, 1, 2]))
+def test_however_noisy_the_imu_is_no_reading_moves_the_place_so_far_that_it_is_another(seed):
+    """35 resets in 40 s; the first of them ended the estimate, and a blind landing 306 m off."""
+    _, run = goes_blind(seed, imu_noise_m_s2=3.0, gyro_noise_deg_s=3.0)
+    blind = [each for each in run.estimates if each.t_s > SEEN_S]
+    assert len({each.reset_counter for each in blind}) == 1
+    for error_m, P in zip(run.rows.error_ne_m, run.rows.P, strict=True):
+        assert math.sqrt(error_m @ np.linalg.solve(P[:2, :2], error_m)) < 5.0
+
+
 @pytest.mark.parametrize(("seed", "drag_per_s"), first_quick([(1, 0.16), (2, 0.16), (1, 0.4)]))
 def test_in_a_storm_it_does_not_take_a_gust_for_its_own_motion(seed, drag_per_s):
     """As long as wind was one slow state, 4.7, 6.1 and 7.2 sigmas."""

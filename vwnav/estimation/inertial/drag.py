@@ -9,6 +9,7 @@ velocity, k and what the wind adds, c = k w, are learned; without images they te
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from vwnav.types import Array
 FELT_S = 0.2  # over which the force is averaged
 _LOWEST_AGL_M = 3.0  # below it may stand, and rotors blow along the ground
 _MODEL_SHARE = 0.1  # of the drag, by which it is not straight in the speed
+_MOST_SHARE = 0.9  # of a jump, by which one reading moves the place
 _REFUSED_M_S2 = 0.3  # a wind that is refused may have changed by so much
 
 
@@ -51,7 +53,14 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
     rough = (_MODEL_SHARE + sigma_yaw_rad) * float(np.hypot(*drag))
     noise = config.drag_noise_m_s2**2 + rough**2 + felt.velocity_variance_m2_s2 / felt.span_s**2
     residual = felt_m_s2[:2] - drag - x[States.ACCELEROMETER_BIAS][:2]
-    fused, innovation = fuse(state, Measurement(residual, H, noise * np.eye(2)))
+    told = Measurement(residual, H, noise * np.eye(2))
+    fused, innovation = fuse(state, told)
+    moved_m = math.dist(fused.x[States.POSITION_NE], state.x[States.POSITION_NE])
+    if moved_m > (most_m := _MOST_SHARE * config.jump_m):
+        # What flew blind for long is moved far by each of an IMU's noisy words, to and fro.
+        known = H @ state.P @ H.T
+        doubted = replace(told, R=moved_m / most_m * (known + told.R) - known)
+        fused, innovation = fuse(state, doubted)
     if innovation.verdict is Verdict.GATED:
         P = state.P.copy()
         P[States.WIND_FORCE, States.WIND_FORCE] += _REFUSED_M_S2**2 * np.eye(2)
