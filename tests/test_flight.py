@@ -231,6 +231,16 @@ def on_route() -> Scene:
     return Scene().run(in_phase(Phase.ROUTE)).go_on(3.0)
 
 
+def test_one_that_rides_along_tells_no_ground_station_that_a_pilot_flies():
+    """A second navigator said so while the watchdog landed the aircraft."""
+    scene = Scene()
+    scene.vehicle.be(armed=True, in_air=True, mode=FlightMode.OFFBOARD)
+    scene.flight.ride(0.0, "the navigator ended: this one only sends estimates")
+    scene.run(limit_s=2.0)
+    assert scene.vehicle.texts == ["the navigator ended: this one only sends estimates"]
+    assert scene.said[-1] == Phase.RELEASED.value  # the record's word for it
+
+
 def test_a_whole_route_is_flown_and_ends_landed_at_home():
     scene = Scene().run()
     assert scene.flight.end.reason is None

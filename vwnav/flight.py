@@ -88,8 +88,7 @@ class Flight:
         if self.end is not None:
             return
         vehicle = self._autopilot.state()
-        if self._phase_since_s is None:
-            self._phase_since_s = t_s
+        self._phase_since_s = t_s if self._phase_since_s is None else self._phase_since_s
         self._keep_alive.beat(self.engaged, self.phase.value, navigation.learned)
         self._route.note(navigation, on_ground=self.phase is Phase.GET_READY)
         if self.phase is Phase.GET_READY:
@@ -137,16 +136,18 @@ class Flight:
         else:
             self._safety.obey(order)
 
-    def _say(self, text: str, warns: bool = True) -> None:
+    def _say(self, text: str) -> None:
         """To whoever is at the keyboard, and to the ground stations; "" is not said."""
         if text:
             self._crew.say(text)
-            self._autopilot.send_text(text, warns)
+            self._autopilot.send_text(text)
 
     def _enter(self, phase: Phase, t_s: float) -> None:
         self.phase, self._phase_since_s = phase, t_s
         self._route.begin_phase()
-        self._say(phase.value, warns=False)
+        self._crew.say(phase.value)
+        if phase is not Phase.RELEASED:  # in whose hands it is then, its reason says
+            self._autopilot.send_text(phase.value, warns=False)
 
     def _in_phase_s(self, t_s: float) -> float:
         return t_s - (self._phase_since_s if self._phase_since_s is not None else t_s)
