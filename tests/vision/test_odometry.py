@@ -276,19 +276,6 @@ def test_nor_is_it_one_that_is_shaken_and_flickers():
     assert all(map(is_none, looks_of(noisy(24, shaken_px=0.25, flicker=0.05), tilts_deg)[14:]))
 
 
-def test_one_that_hangs_is_none_either_when_its_exposure_jumps_and_nothing_is_followed():
-    """Between two of its lights it counted as alive, and its fixes as the place: 192 m off."""
-    tilts_deg = [0.6 * math.sin(0.8 * i) for i in range(20)]
-    dark = [np.full_like(each, 9) + each // 40 for each in noisy(2)]
-    seen = looks_of([*noisy(20), *dark, *noisy(4)], [*tilts_deg, *6 * [0.0]])
-    assert not any(isinstance(each, OdometryMotion) for each in seen[12:])
-    assert all(map(is_none, [*seen[12:20], *seen[22:]]))
-    px = (30.0, 34.0, 38.0, 42.0)
-    live = [image(ground(2), each) for each in px]  # of another place than where it hung
-    after = looks_of([*noisy(20), *live], [*tilts_deg, *4 * [0.0]])
-    assert isinstance(after[-1], OdometryMotion)
-
-
 def test_a_hover_is_no_picture_that_stands_still():
     """In still air one is: it does not turn. And what turns sees the ground move."""
     assert not any(map(is_none, looks_of(noisy(24), 24 * [0.3])))

@@ -128,8 +128,6 @@ class Odometry:
         if self._keyframe is None:
             return self._begin(view)
         result = self._follow(self._keyframe, view)
-        if self._hangs and isinstance(result, Rejected):
-            return self._begin(view)
         if self._hangs:
             return Rejected(view.t_s, RejectReason.NO_FRAME, _STILL)
         if isinstance(result, Rejected) and last is not None and last is not self._keyframe.view:
@@ -151,7 +149,8 @@ class Odometry:
 
         Corners are found again up to some 15 degrees beside where they are looked for.
         """
-        if self._alone or (keyframe := self._start(last)) is None:
+        keyframe = None if self._alone else self._start(last)
+        if keyframe is None:
             return lost
         for turn_rad in _KNOCKS_RAD:
             found = self._follow(turned(keyframe, turn_rad), view)
@@ -190,8 +189,6 @@ class Odometry:
 
     def _begin(self, view: ReducedView) -> Rejected:
         keyframe = self._start(view)
-        if self._hangs:
-            return Rejected(view.t_s, RejectReason.NO_FRAME, _STILL)
         if keyframe is None:
             return Rejected(view.t_s, RejectReason.FEW_KEYPOINTS, "no corners on the ground")
         stats = MatchStats(keypoints=len(keyframe.uv))
@@ -244,8 +241,9 @@ class Odometry:
         motion = fit_motion(seen, prior, config.threshold_px)
         count = 0 if motion is None else int(np.count_nonzero(motion.inliers))
         stats = replace(stats, inliers=count)
-        least = max(config.least_inliers, config.least_inlier_ratio * stats.matches)
-        if motion is None or count < least:
+        if motion is None or count < max(
+            config.least_inliers, config.least_inlier_ratio * stats.matches
+        ):
             return Rejected(view.t_s, RejectReason.FEW_INLIERS, "no common motion", stats=stats)
         sigma = math.sqrt(float(np.max(np.diag(motion.covariance)[:3])))
         if not (sigma < config.most_sigma_ratio and abs(float(motion.way[2])) < _MOST_ZOOM):
@@ -257,28 +255,20 @@ class Odometry:
         return self._accept(keyframe, view, unsure, count, tilt, slope)
 
     def _is_still(self, keyframe: Keyframe, view: ReducedView, uv: Points) -> bool:
-        """Whether it is always one picture: what a camera that lives shows turns with it.
-
-        One that hung lives again when what is followed moves, not when it is followed no more.
-        """
-        if self._like is None or self._like[0] is not keyframe:
-            self._like = keyframe, uv, view, 0.0
-            return self._hangs
-        _, uv_like, first, most_px = self._like
-        moved_px = np.sort(np.hypot(*(uv - uv_like).T))  # NaN at the end
-        count = np.count_nonzero(np.isfinite(moved_px))
-        far_px = float(moved_px[int(_STILL_SHARE * count)])
-        if self._hangs and count < self._config.least_inliers:
-            return True
-        if not far_px < _STILL_PX:
-            self._like = keyframe, uv, view, 0.0
-            return False
-        most_px = max(most_px, far_px)
-        self._like = keyframe, uv_like, first, most_px
-        turned = np.linalg.norm((view.R_ned_camera - first.R_ned_camera)[:, 2])  # its axis
-        lasts = view.t_s - first.t_s >= _STILL_S and view.height_m > _STILL_FROM_M
-        least_px = max(_TURNED_PX, _TURNS * most_px)
-        return self._hangs or bool(lasts and self._camera.K[0, 0] * turned > least_px)
+        """Whether it is always one picture: what a camera that lives shows turns with it."""
+        if self._like is not None and self._like[0] is keyframe:
+            _, uv_like, first, most_px = self._like
+            moved_px = np.sort(np.hypot(*(uv - uv_like).T))  # NaN at the end
+            far_px = moved_px[int(_STILL_SHARE * np.count_nonzero(np.isfinite(moved_px)))]
+            if far_px < _STILL_PX:
+                most_px = max(most_px, float(far_px))
+                self._like = keyframe, uv_like, first, most_px
+                turned = np.linalg.norm((view.R_ned_camera - first.R_ned_camera)[:, 2])  # its axis
+                lasts = view.t_s - first.t_s >= _STILL_S and view.height_m > _STILL_FROM_M
+                least_px = max(_TURNED_PX, _TURNS * most_px)
+                return self._hangs or bool(lasts and self._camera.K[0, 0] * turned > least_px)
+        self._like = keyframe, uv, view, 0.0
+        return False
 
     def _prior(self, keyframe: ReducedView, view: ReducedView) -> MotionPrior:
         """The ground slopes much as it did before the keyframe; nobody knows how at first."""
@@ -292,9 +282,14 @@ class Odometry:
         return MotionPrior(tilt_rad, self._slope_ne, c.slope_change, c.bend, c.sigma_px)
 
     def _accept(
-        self, keyframe: Keyframe, view: ReducedView, motion: Motion, count: int, tilt: TiltSeen,
+        self,
+        keyframe: Keyframe,
+        view: ReducedView,
+        motion: Motion,
+        count: int,
+        tilt: TiltSeen,
         slope: tuple[Array, Array] | None,
-    ) -> OdometryMotion:  # fmt: skip
+    ) -> OdometryMotion:
         turn = rotation_from_vector(motion.turn_rad)
         heading1_rad = _heading(turn @ view.R_ned_camera, self._camera)
         increment_rad = wrap_pi(heading1_rad - keyframe.view.heading_rad)
@@ -317,23 +312,28 @@ class Odometry:
             self._slope_ne = np.clip(motion.slope, -_STEEPEST, _STEEPEST)
             self._start(view)
         return OdometryMotion(
-            t0_s=keyframe.view.t_s, t1_s=view.t_s,
+            t0_s=keyframe.view.t_s,
+            t1_s=view.t_s,
             displacement_ned_m=way * height_m - swung_m,
             covariance_ned_m2=covariance * height_m**2,
             yaw_increment_rad=increment_rad,
             sigma_yaw_rad=math.hypot(motion.covariance[5, 5] ** 0.5, self._config.yaw_sigma_rad),
-            agl_m=keyframe.view.agl_m, tracks=count,
-            tilt_share=tilt.share, tilts_along=tilt.along, tilts_turned=tilt.turned,
+            agl_m=keyframe.view.agl_m,
+            tracks=count,
+            tilt_share=tilt.share,
+            tilts_along=tilt.along,
             slope_ne=None if slope is None else slope[0],
             slope_covariance=None if slope is None else slope[1],
             relief=motion.relief,
-        )  # fmt: skip
+            tilts_turned=tilt.turned,
+        )
 
     def _remember(self, view: ReducedView, motion: Motion) -> None:
         course = self._course
         velocity = (motion.way - course.way) / (view.t_s - course.t_s)
-        turn_rad = motion.turn_rad * float(not self._alone)
-        self._course, self._last = Course(view.t_s, motion.way, turn_rad, velocity), view
+        turn_rad = motion.turn_rad * (0.0 if self._alone else 1.0)
+        self._course = Course(view.t_s, motion.way, turn_rad, velocity)
+        self._last = view
 
 
 def _heading(R_ned_camera: Array, camera: Camera) -> float:
