@@ -267,11 +267,13 @@ def test_nothing_is_asked_while_the_list_is_not_complete_and_that_is_unsafe():
 
 
 def test_what_keeps_it_on_the_ground_is_told_to_who_stands_at_a_ground_station():
-    """A service has no screen; at first all is missing for a moment, which nobody need read."""
+    """A service has no screen; what settles within seconds nobody need read."""
     battery, camera = Check("battery", "FAIL", "30 %"), Check("camera", "FAIL", "no picture")
-    scene = Scene(checks=(battery, camera), arms=False).run(limit_s=2.0)
+    scene = Scene(checks=(battery, camera), arms=False).run(limit_s=8.0)
+    scene.checks = ()
+    scene.go_on(2.0)  # ready for a moment is not ready
     scene.checks = (battery,)
-    scene.go_on(2.0)
+    scene.go_on(4.0)
     assert scene.vehicle.warned == []
     scene.go_on(35.0)
     assert scene.vehicle.warned == ["not ready: battery: 30 %"] * 2  # who connects late reads it
@@ -279,6 +281,11 @@ def test_what_keeps_it_on_the_ground_is_told_to_who_stands_at_a_ground_station()
     scene.go_on(35.0)
     assert len(scene.vehicle.warned) == 3
     assert scene.vehicle.warned[-1].startswith("ready: ")
+    scene.checks = (camera,)
+    scene.go_on(14.0)
+    assert len(scene.vehicle.warned) == 3
+    scene.go_on(2.0)
+    assert scene.vehicle.warned[-1] == "not ready: camera: no picture"
 
 
 def test_a_refused_arming_ends_the_flight_with_the_autopilots_words():

@@ -34,7 +34,7 @@ _NOT_OURS = (
     "until it is disarmed"
 )
 _ASK_AGAIN_S = 1.0
-_MISSING_FOR_S, _MISSING_AGAIN_S = 3.0, 30.0  # until it is told, and told again
+_MISSING_FOR_S, _MISSING_AGAIN_S = 15.0, 30.0  # PX4 alone settles for ten
 _STAND_BY_AGAIN_S = 5.0
 # They would start, stop and start again beside whoever looks why.
 _NOT_AGAIN = (
@@ -97,8 +97,7 @@ class Departure:
         self._unready_since_s: float | None = None
         self._ready_since_s: float | None = None
         self._shown: str | None = None
-        self._lacks: tuple[str, ...] = ()
-        self._tell_s = math.inf
+        self._tell_s: float | None = None  # what is missing, unless it is ready for good by then
         self._request: Request | None = None
         self._armed_s: float | None = None  # our arming was accepted
         self._refusals = 0
@@ -165,14 +164,14 @@ class Departure:
         if trouble != self._shown:
             self._shown = trouble
             self._show(listed)
-        self._tell_missing(listed, t_s)
         if trouble:
+            self._tell_missing(trouble, t_s)
             self._ready_since_s, self.stage = None, Stage.READINESS
             return self._out_of_time(missing(checks), t_s)
         self._ready_since_s = t_s if self._ready_since_s is None else self._ready_since_s
         if t_s - self._ready_since_s < self._config.ready_steady_s:
             return None
-        self._unready_since_s = None
+        self._unready_since_s = self._tell_s = None
         if self._arms:
             self.stage, self._request = Stage.ARM, self._autopilot.arm()
         elif self.stage is Stage.READINESS:
@@ -180,14 +179,13 @@ class Departure:
             self._say(_HOW_TO_ARM)
         return None
 
-    def _tell_missing(self, listed: tuple[Check, ...], t_s: float) -> None:
-        """Who stands at a ground station sees no list: what has been in the way for a while."""
-        lacks = tuple(check.name for check in listed if check.verdict == "FAIL")
-        if lacks != self._lacks:
-            self._lacks, self._tell_s = lacks, t_s + _MISSING_FOR_S
-        if lacks and t_s >= self._tell_s:
+    def _tell_missing(self, trouble: str, t_s: float) -> None:
+        """Who stands at a ground station sees no list: what is in the way for long."""
+        if self._tell_s is None:
+            self._tell_s = t_s + _MISSING_FOR_S
+        if t_s >= self._tell_s:
             self._tell_s = t_s + _MISSING_AGAIN_S
-            self._say(f"not ready: {missing(listed)}")
+            self._say(f"not ready: {trouble}")
 
     def _leave_mode(self, vehicle: VehicleState, t_s: float) -> None:
         """Out of one in which nobody can arm it."""
