@@ -395,17 +395,30 @@ def test_an_operator_reads_why_it_leaves_its_landing():
     guard.step(8.0)
     assert guard.words(GuardState.LANDING, 8.0) == "drifts as it lands: holding, then landing again"
     run(guard, 8.02, 10.0)
+    guard.handle_vehicle(VehicleView(FlightMode.HOLD, True, True))
     assert guard.words(GuardState.HOLDING, 10.0) == "holds its place: landing again"
+
+
+def test_nobody_reads_that_it_holds_its_place_when_it_has_not_taken_the_hold():
+    guard, told = landing_blind(), []
+    for i in range(8 * 50, 13 * 50):
+        before = guard.state
+        guard.step(i / 50)
+        if guard.state is not before:
+            told.append(guard.words(before, i / 50))
+    assert told[0].startswith("drifts as it lands")
+    assert not [each for each in told if "holds its place" in each]
+    assert len(told) == 2
 
 
 @given(
     state=st.sampled_from(GuardState), before=st.sampled_from(GuardState),
-    ended=st.booleans(), knows=st.sampled_from([True, False, None]), silent_s=st.floats(0.0, 1e6),
+    ended=st.booleans(), knows=st.sampled_from([True, False, None]), t_s=st.floats(0.0, 1e6),
 )  # fmt: skip
-def test_what_an_operator_reads_fits_one_text(state, before, ended, knows, silent_s):
+def test_what_an_operator_reads_fits_one_text(state, before, ended, knows, t_s):
     view = VehicleView(FlightMode.OFFBOARD, True, knows)
     guard = DeadMan(state=state, vehicle=view, _ended=ended)
-    words = guard.words(before, silent_s)
+    words = guard.words(before, t_s)
     assert 0 < len(words.encode("ascii")) <= 50
 
 

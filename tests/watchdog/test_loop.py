@@ -220,7 +220,8 @@ def test_it_leaves_when_the_navigator_has_ended_and_a_person_flies():
     stand.run(0.4)
     stand.keepalive.close()
     stand.beating = False
-    assert names(stand.run(1.0)) == ["STATUSTEXT"]
+    sent = stand.run(1.0)
+    assert (names(sent), texts(sent)) == (["STATUSTEXT"], ["vwnav ended: another mode flies"])
     assert stand.watchdog.finished
 
 

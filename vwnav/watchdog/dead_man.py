@@ -206,7 +206,7 @@ class DeadMan:
                 return "drifts as it lands: holding, then landing again"
             case GuardState.HOLDING:
                 return f"{who}: holding, then landing"
-            case GuardState.LANDING if before is GuardState.HOLDING and self._may_hold(t_s):
+            case GuardState.LANDING if self._may_hold(t_s) and self.vehicle.mode is FlightMode.HOLD:
                 return "holds its place: landing again"
             case GuardState.LANDING if self.vehicle.position_ok is False:
                 return f"{who}, place not known: landing"

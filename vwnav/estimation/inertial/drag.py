@@ -28,7 +28,11 @@ _REFUSED_M_S2 = 0.3  # a wind that is refused may have changed by so much
 
 
 def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innovation]:
-    """Fuse the force across the thrust that was felt until now."""
+    """Fuse the force across the thrust that was felt until now.
+
+    A reading that would move the place so far that it counts as another one is weighed less, until
+    it does not: a bounded influence (Huber 1964, "Robust estimation of a location parameter").
+    """
     imu, config = context.imu, context.config
     felt = preintegrated(imu.until(state.t_s - FELT_S), imu.until(state.t_s))
     attitude = context.attitudes.at(state.t_s - 0.5 * FELT_S)
@@ -57,7 +61,7 @@ def apply_drag(state: FilterState, context: Context) -> tuple[FilterState, Innov
     fused, innovation = fuse(state, told)
     moved_m = math.dist(fused.x[States.POSITION_NE], state.x[States.POSITION_NE])
     if moved_m > (most_m := _MOST_SHARE * config.jump_m):
-        # What flew blind for long is moved far by each of an IMU's noisy words, to and fro.
+        # After long blindness a noisy IMU does so with each of its words, to and fro.
         known = H @ state.P @ H.T
         doubted = replace(told, R=moved_m / most_m * (known + told.R) - known)
         fused, innovation = fuse(state, doubted)

@@ -207,8 +207,8 @@ def _judge(row: Scenario, flight: LiveFlight, broke_s: float, broke_at: Any) -> 
             wrong.append(f"it landed {off_m:.1f} m off, {row.lands_within_m:.0f} m are allowed")
         case Ending.FLIES_ON if not _flies_on(flight):
             wrong.append(f"it does not fly on: {flight.track.phases[-1].text}")
-        case Ending.STAYED if track.flew and not (row.breaks[0].armed and flight.is_down()):
-            wrong.append("it took off")  # once armed it may have been told to before that broke
+        case Ending.STAYED if track.flew:
+            wrong.append("it took off")
         case Ending.PILOT | Ending.OTHERS if not flight.is_in(Phase.RELEASED):
             wrong.append(f"nobody else has it: {flight.track.phases[-1].text}")
     limit_m_s = row.setup.config.limits.speed_max_m_s + row.setup.wind_m_s + row.faster_m_s
