@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from vwnav.bench.flights import fly as flying
 from vwnav.bench.flights import lockstep_place
 from vwnav.bench.flights.blame import blamed_wrongly
-from vwnav.bench.flights.faults import camera, link, telemetry
+from vwnav.bench.flights.faults import camera, light, link, telemetry
 from vwnav.bench.flights.judge import judge
 from vwnav.bench.flights.live.campaign import live_rows
 from vwnav.bench.flights.log import flight_log as log_of
@@ -86,8 +86,8 @@ def test_an_imu_on_its_side_feels_gravity_to_the_right():
 
 @pytest.mark.parametrize(
     "make",
-    [camera.sun_glare, camera.half_covered, camera.out_of_focus, camera.upside_down,
-     camera.repeating_ground, camera.overexposed],
+    [light.sun_glare, camera.half_covered, camera.out_of_focus, camera.upside_down,
+     camera.repeating_ground, light.overexposed, light.exposure_following],
 )  # fmt: skip
 def test_poor_images_keep_size_and_time(make):
     seen = make()(frame(3))

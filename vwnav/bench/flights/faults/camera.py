@@ -18,17 +18,12 @@ from vwnav.types import Frame
 Image = NDArray[np.uint8]
 Trouble = Callable[[Frame], Frame | None]
 _DARK, _DARK_NOISE = 3.0, 1.5
-_SUN_PX, _VEIL = 0.35, 90.0  # radius of the glare as a share of the height; grey levels about it
 _BLUR_PX = 4.0
 _BURST, _AFTER = 8, 12  # images lost, images that come
 _LOOP, _PATCH_PX = 10, 40  # images of a buffer that is shown again and again; ground that repeats
 _GEAR = ((0.08, 0.0, 0.09, 1.0), (0.84, 0.0, 0.09, 1.0), (0.0, 0.9, 1.0, 0.1))  # u, v, w, h: shares
 _DROPS, _DROP_PX, _DROP_BLUR_PX, _DROP_GREY = 25, (0.02, 0.06), 15.0, 110.0
-_DUSK, _DUSK_GREY, _DUSK_NOISE = 0.1, 4.0, 2.5  # of the light, and what the sensor adds
-_HUNTS = (0.4, 1.7)  # exposures by turns
 _TORN, _SMEARED = 0.5, 0.4  # share of the images that a bad cable does it to
-_FOG, _FOG_GREY = 0.15, 150.0  # of the contrast, and what the fog adds
-_CLOUD_PX, _CLOUD_PX_S, _IN_SHADE = 260.0, 110.0, 0.45  # length, speed over the image, light left
 _FALSE_TIMES_S = (math.nan, 3600.0, -3600.0, math.inf)  # off by
 
 
@@ -109,11 +104,6 @@ def black() -> Trouble:
     return cover
 
 
-def overexposed() -> Trouble:
-    """White: exposure that has lost its control."""
-    return _each(lambda image: np.full_like(image, 255))
-
-
 def frozen() -> Trouble:
     """The same image again and again, with new times."""
     kept: list[Frame] = []
@@ -127,7 +117,7 @@ def frozen() -> Trouble:
 
 def frozen_in_a_stream() -> Trouble:
     """The same image again and again, encoded anew each time: no two are the same."""
-    freeze, encode = frozen(), _faded(1.0, 0.0, _DARK_NOISE)
+    freeze, encode = frozen(), faded(1.0, 0.0, _DARK_NOISE)
     return lambda frame: (same := freeze(frame)) and encode(same)
 
 
@@ -154,20 +144,7 @@ def repeating_ground() -> Trouble:
         patch = image[v : v + _PATCH_PX, u : u + _PATCH_PX]
         return np.tile(patch, (h // _PATCH_PX, w // _PATCH_PX))
 
-    return _each(lay)
-
-
-def sun_glare() -> Trouble:
-    """The sun's reflection: a white disc, and a veil that fades away from it."""
-
-    def dazzle(image: Image) -> Image:
-        h, w = image.shape[:2]
-        v, u = np.indices((h, w), np.float32)
-        away = np.hypot(v - 0.3 * h, u - 0.65 * w) / (_SUN_PX * h)
-        light = np.where(away < 1.0, 255.0, _VEIL / np.maximum(away, 1.0))
-        return np.clip(image + light, 0, 255).astype(np.uint8)
-
-    return _each(dazzle)
+    return each_image(lay)
 
 
 def half_covered() -> Trouble:
@@ -178,12 +155,12 @@ def half_covered() -> Trouble:
         covered[:, : image.shape[1] // 2] = round(_DARK)
         return covered
 
-    return _each(cover)
+    return each_image(cover)
 
 
 def out_of_focus() -> Trouble:
     """Blurred by four pixels."""
-    return _each(lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8))
+    return each_image(lambda image: np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR_PX), np.uint8))
 
 
 def mirrored() -> Trouble:
@@ -193,7 +170,7 @@ def mirrored() -> Trouble:
 
 def upside_down() -> Trouble:
     """The camera is mounted the other way round."""
-    return _each(lambda image: np.ascontiguousarray(image[::-1, ::-1]))
+    return each_image(lambda image: np.ascontiguousarray(image[::-1, ::-1]))
 
 
 def cropped() -> Trouble:
@@ -217,12 +194,12 @@ def _zoomed(ratio: float) -> Trouble:
         grows = cv2.getRotationMatrix2D((0.5 * (w - 1), 0.5 * (h - 1)), 0.0, ratio)
         return np.asarray(cv2.warpAffine(image, grows, (w, h)), np.uint8)
 
-    return _each(zoom)
+    return each_image(zoom)
 
 
 def another_size() -> Trouble:
     """Half of the calibrated size."""
-    return _each(lambda image: np.ascontiguousarray(image[::2, ::2]))
+    return each_image(lambda image: np.ascontiguousarray(image[::2, ::2]))
 
 
 def bursts_dropped() -> Trouble:
@@ -241,7 +218,7 @@ def landing_gear() -> Trouble:
             part[:] = grain[: part.shape[0], : part.shape[1]]
         return covered
 
-    return _each(cover)
+    return each_image(cover)
 
 
 def drops() -> Trouble:
@@ -257,18 +234,7 @@ def drops() -> Trouble:
         seen = 0.4 * cv2.GaussianBlur(image, (0, 0), _DROP_BLUR_PX).astype(np.float32) + _DROP_GREY
         return np.asarray((1.0 - drop) * image + drop * seen, np.uint8)
 
-    return _each(wet)
-
-
-def dusk() -> Trouble:
-    """A tenth of the light is left, and the sensor's noise."""
-    return _faded(_DUSK, _DUSK_GREY, _DUSK_NOISE)
-
-
-def exposure_hunting() -> Trouble:
-    """Too dark and too bright by turns."""
-    gains = cycle(_HUNTS)
-    return _each(lambda image: np.clip(next(gains) * image, 0, 255).astype(np.uint8))
+    return each_image(wet)
 
 
 def torn() -> Trouble:
@@ -283,7 +249,7 @@ def torn() -> Trouble:
         before[:] = [image]
         return made
 
-    return _each(tear)
+    return each_image(tear)
 
 
 def smeared() -> Trouble:
@@ -294,25 +260,7 @@ def smeared() -> Trouble:
         row = int(rng.integers(1, len(image))) if rng.random() < _SMEARED else len(image)
         return np.concatenate([image[:row], np.repeat(image[row - 1 : row], len(image) - row, 0)])
 
-    return _each(smear)
-
-
-def fog() -> Trouble:
-    """A seventh of the contrast is left, and the sensor's noise."""
-    return _faded(_FOG, _FOG_GREY, _DARK_NOISE)
-
-
-def cloud_shadows() -> Trouble:
-    """Shadows of clouds pass from the left to the right, whatever the ground does below them."""
-
-    def shade(frame: Frame) -> Frame | None:
-        h, w = frame.image.shape[:2]
-        along = (np.arange(w) + 0.3 * np.arange(h)[:, None] - _CLOUD_PX_S * frame.t_s) / _CLOUD_PX
-        edge = np.clip(3.0 * np.sin(math.tau * along), -1.0, 1.0)
-        light = _IN_SHADE + (1.0 - _IN_SHADE) * (0.5 + 0.5 * edge)
-        return replace(frame, image=np.asarray(light * frame.image, np.uint8))
-
-    return shade
+    return each_image(smear)
 
 
 def each_twice() -> Trouble:
@@ -333,7 +281,7 @@ def false_times() -> Trouble:
     return lambda frame: frame if frame.index % 3 else replace(frame, t_s=frame.t_s + next(off_s))
 
 
-def _faded(share: float, grey: float, noise: float) -> Trouble:
+def faded(share: float, grey: float, noise: float) -> Trouble:
     """So much of the contrast is left, about another grey level, with noise of one sigma."""
     rng = np.random.default_rng(6)
 
@@ -341,9 +289,9 @@ def _faded(share: float, grey: float, noise: float) -> Trouble:
         seen = share * image + rng.normal(grey, noise, image.shape)
         return np.clip(np.round(seen), 0, 255).astype(np.uint8)
 
-    return _each(fade)
+    return each_image(fade)
 
 
-def _each(change: Callable[[Image], Image]) -> Trouble:
+def each_image(change: Callable[[Image], Image]) -> Trouble:
     """A trouble that makes another image of every one."""
     return lambda frame: replace(frame, image=change(frame.image))

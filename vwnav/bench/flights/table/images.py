@@ -1,6 +1,7 @@
 """Images that tell nothing, tell it badly, late or seldom."""
 
 from vwnav.bench.flights.faults import camera as broken
+from vwnav.bench.flights.faults import fixes, light
 from vwnav.bench.flights.faults.aircraft import StationOrders
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
@@ -36,7 +37,7 @@ USELESS = [
         ("frozen", broken.frozen),
         ("frozen in a stream", broken.frozen_in_a_stream),
         ("failing", broken.raising),
-        ("over-exposed", broken.overexposed),
+        ("over-exposed", light.overexposed),
         ("of another size", broken.another_size),
         ("of one second in a loop", broken.looping),
         ("of a ground that repeats", broken.repeating_ground),
@@ -61,7 +62,7 @@ FROZEN = [
         setup=setup(wind_m_s=5.0),
         breaks=tuple(
             Break(fault=broken.CameraTrouble(make), at_s=BREAKS_AT_S)
-            for make in (broken.frozen_in_a_stream, broken.exposure_hunting)
+            for make in (broken.frozen_in_a_stream, light.exposure_hunting)
         ),
         limit_s=75.0,
         follows=(phase(8.0, "landing"), down(60.0)),
@@ -71,20 +72,38 @@ FROZEN = [
 POOR = [
     flies_on(f"pictures {name} for 15 s", broken.CameraTrouble(make), 15.0)
     for name, make in (
-        ("with the sun's glare", broken.sun_glare),
+        ("with the sun's glare", light.sun_glare),
         ("half covered", broken.half_covered),
         ("out of focus", broken.out_of_focus),
         ("dropped in bursts", broken.bursts_dropped),
         ("with the landing gear in view", broken.landing_gear),
         ("through drops on the lens", broken.drops),
-        ("at dusk", broken.dusk),
-        ("whose exposure hunts", broken.exposure_hunting),
+        ("at dusk", light.dusk),
+        ("whose exposure hunts", light.exposure_hunting),
         ("of which each comes twice", broken.each_twice),
         ("with times that cannot be", broken.false_times),
         ("torn by a bad cable", broken.torn),
         ("cut off by a bad cable", broken.smeared),
-        ("in fog", broken.fog),
-        ("under shadows of clouds", broken.cloud_shadows),
+        ("in fog", light.fog),
+        ("under shadows of clouds", light.cloud_shadows),
+    )
+]
+# Images alone tell the way, in a light that does not stay as it is.
+WITHOUT_FIXES = [
+    Scenario(
+        name=f"no fix for 12 s, pictures {how}",
+        setup=setup(),
+        breaks=tuple(
+            Break(fault=fault, at_s=BREAKS_AT_S, for_s=12.0)
+            for fault in (fixes.NoFixes(), broken.CameraTrouble(make))
+        ),
+        limit_s=45.0,
+        ending=Ending.FLIES_ON,
+    )
+    for how, make in (
+        ("whose exposure hunts", light.exposure_hunting),
+        ("whose exposure follows the light", light.exposure_following),
+        ("under shadows of clouds", light.cloud_shadows),
     )
 ]
 LATE = [
@@ -261,4 +280,4 @@ KNOCKED = [
         ),
     )
 ]
-IMAGES = [*USELESS, *FROZEN, *POOR, *LATE, *MOUNTED, *KNOCKED]
+IMAGES = [*USELESS, *FROZEN, *POOR, *WITHOUT_FIXES, *LATE, *MOUNTED, *KNOCKED]

@@ -2,7 +2,7 @@
 
 import math
 
-from vwnav.bench.flights.faults import aircraft, camera, computer, fixes, link
+from vwnav.bench.flights.faults import aircraft, camera, computer, fixes, light, link
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
     DESCEND,
@@ -70,7 +70,7 @@ STORM = [
         "a storm, the sun's glare, a third of the processor",
         (
             Break(fault=_A_THIRD, at_s=0.0),
-            *_at_once(camera.CameraTrouble(camera.sun_glare)),
+            *_at_once(camera.CameraTrouble(light.sun_glare)),
         ),
         _STORM_M_S,
     ),
