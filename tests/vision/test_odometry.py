@@ -55,6 +55,38 @@ def test_the_way_is_metric():
     assert np.abs(last.displacement_ned_m[1:]).max() < 0.1
 
 
+def exposed(seen: np.ndarray, gain: float | np.ndarray) -> np.ndarray:
+    return np.clip(gain * seen, 0, 255).astype(np.uint8)
+
+
+LIGHTS = {
+    "the sun goes in": (1.0, 0.9),
+    "an exposure of half": (1.0, 0.5),
+    "hunting down": (1.7, 0.4),
+    "hunting up": (0.4, 1.7),
+    "the shadow of a cloud": (1.0, np.linspace(1.3, 0.3, WIDTH).clip(0.4, 1.0)),
+    "that passes": (np.linspace(0.3, 1.3, WIDTH).clip(0.4, 1.0), np.ones(WIDTH)),
+}
+
+
+@pytest.mark.parametrize("light", LIGHTS)
+def test_the_way_is_the_same_in_another_light(light):
+    """5 % of exposure cost one corner in seven, 20 % half of them; hunting cost the aircraft."""
+    seen = [image(ground(1), px) for px in (0.0, 9.0)]
+    ways = []
+    for gains in ((1.0, 1.0), LIGHTS[light]):
+        odometry = Odometry(CAMERA, OdometryConfig())
+        shown = [exposed(one, gain) for one, gain in zip(seen, gains, strict=True)]
+        ways.append(
+            [odometry.step(Frame(0.1 * i, x, i), LEVEL, AGL_M) for i, x in enumerate(shown)]
+        )
+    steady, way = (each[-1] for each in ways)
+    assert isinstance(steady, OdometryMotion)
+    assert isinstance(way, OdometryMotion)
+    assert way.displacement_ned_m == pytest.approx(steady.displacement_ned_m, abs=0.25 * M_PER_PX)
+    assert way.tracks > 0.7 * steady.tracks
+
+
 def test_a_hover_does_not_drift():
     """Every image is compared with the one keyframe, however long it lasts."""
     swaying = [3.0 * math.sin(0.7 * i) for i in range(60)] + [0.0]
@@ -274,6 +306,13 @@ def test_nor_is_it_one_that_is_shaken_and_flickers():
     """Half a pixel of 640 was enough to be believed: 57 m off, 12 sigmas."""
     tilts_deg = [1.5 * math.sin(0.8 * i) for i in range(24)]
     assert all(map(is_none, looks_of(noisy(24, shaken_px=0.25, flicker=0.05), tilts_deg)[14:]))
+
+
+def test_nor_is_it_one_whose_exposure_hunts():
+    """Nothing of it could be followed: its fixes were believed as it landed, 93 m off."""
+    tilts_deg = [0.6 * math.sin(0.8 * i) for i in range(24)]
+    hunting = [exposed(one, (0.4, 1.7)[i % 2]) for i, one in enumerate(noisy(24))]
+    assert all(map(is_none, looks_of(hunting, tilts_deg)[12:]))
 
 
 def test_a_hover_is_no_picture_that_stands_still():

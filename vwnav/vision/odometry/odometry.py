@@ -9,11 +9,9 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from vwnav.geometry.camera import Camera, to_gray
+from vwnav.geometry.camera import Camera
 from vwnav.geometry.rotations import (
-    euler_from_rotation,
     quat_from_rotation,
     rotation_from_euler,
     rotation_from_vector,
@@ -23,14 +21,13 @@ from vwnav.types import (
     Array,
     Attitude,
     Frame,
-    Gray,
     MatchStats,
     OdometryMotion,
     Rejected,
     RejectReason,
 )
 from vwnav.vision.config import OdometryConfig
-from vwnav.vision.matching import Points, find_corners, track
+from vwnav.vision.matching import Points, find_corners, normalize_contrast, track
 from vwnav.vision.odometry.alone import centre_way, turned_level
 from vwnav.vision.odometry.ground_motion import (
     Motion,
@@ -112,7 +109,7 @@ class Odometry:
         """Take the next image.
 
         Args:
-            frame: later than the one before, of the camera's size.
+            frame: gray, later than the one before, of the camera's size.
             R_ned_body: (3, 3) at its exposure; None when it is not known: nothing is followed
                 then, unless the video is alone.
             agl_m: height above ground at its exposure, of the body; the camera's own height, to
@@ -174,13 +171,16 @@ class Odometry:
             return self._lost(frame.t_s, RejectReason.TOO_LOW, f"{height_m:.2f} m above ground")
         if not np.all(np.isfinite(R_ned_camera)) or R_ned_camera[2, 2] < _LEAST_COS_TILT:
             return self._lost(frame.t_s, RejectReason.TILTED, "the camera does not look down")
-        gray = _reduced(frame.image, self._factor)
+        h, w, k = self._camera.height_px, self._camera.width_px, self._factor
+        cut = frame.image[: h * k, : w * k]
+        gray = np.asarray(cv2.resize(cut, (w, h), interpolation=cv2.INTER_AREA), np.uint8)
         contrast = float(cv2.meanStdDev(gray)[1][0, 0])
         if contrast < self._config.least_contrast:
             return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
         flow = ray_flow(frame, self._camera, R_ned_camera[2], height_m) if self._rolling else None
-        heading_rad = _heading(R_ned_camera, self._camera)
-        return ReducedView(frame.t_s, gray, R_ned_camera, heading_rad, agl_m, height_m, flow)
+        heading_rad = _heading(R_ned_body)
+        images = gray, normalize_contrast(gray)
+        return ReducedView(frame.t_s, *images, R_ned_camera, heading_rad, agl_m, height_m, flow)
 
     def _lost(self, t_s: float, reason: RejectReason, detail: str) -> Rejected:
         """An image that shows nothing: what comes after it starts anew."""
@@ -227,7 +227,8 @@ class Odometry:
 
     def _follow(self, keyframe: Keyframe, view: ReducedView) -> OdometryMotion | Rejected:
         config = self._config
-        uv1, kept = track(keyframe.view.gray, view.gray, keyframe.uv, self._guess(keyframe, view))
+        images, guess = (keyframe.view.normalized, view.normalized), self._guess(keyframe, view)
+        uv1, kept = track(*images, keyframe.uv, guess)
         self._hangs = self._is_still(keyframe, view, np.where(kept[:, None], uv1, np.nan))
         stats = MatchStats(keypoints=len(keyframe.uv), matches=int(np.count_nonzero(kept)))
         if stats.matches < config.least_inliers:
@@ -291,7 +292,7 @@ class Odometry:
         slope: tuple[Array, Array] | None,
     ) -> OdometryMotion:
         turn = rotation_from_vector(motion.turn_rad)
-        heading1_rad = _heading(turn @ view.R_ned_camera, self._camera)
+        heading1_rad = _heading(turn @ view.R_ned_camera @ self._camera.R_body_camera.T)
         increment_rad = wrap_pi(heading1_rad - keyframe.view.heading_rad)
         height_m = keyframe.view.height_m
         if self._alone:
@@ -336,15 +337,5 @@ class Odometry:
         self._last = view
 
 
-def _heading(R_ned_camera: Array, camera: Camera) -> float:
-    return euler_from_rotation(R_ned_camera @ camera.R_body_camera.T)[2]
-
-
-def _reduced(image: NDArray[np.uint8], factor: int) -> Gray:
-    """Gray, and shrunk by a whole number; what does not fill a pixel at the end is cut off."""
-    gray = image if image.ndim == 2 else to_gray(image)
-    if factor == 1:
-        return np.ascontiguousarray(gray, dtype=np.uint8)
-    height, width = gray.shape[0] // factor, gray.shape[1] // factor
-    cut = gray[: height * factor, : width * factor]
-    return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+def _heading(R_ned_body: Array) -> float:
+    return math.atan2(float(R_ned_body[1, 0]), float(R_ned_body[0, 0]))

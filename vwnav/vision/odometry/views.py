@@ -19,11 +19,13 @@ _NEAR_PX = 19  # the window within which a corner is followed, and one more to e
 class ReducedView:
     """A reduced image and how it was taken: heading and height of the body, height of the camera.
 
-    `flow` (3, 3) is how what is seen moves while rows are read, see `vwnav.vision.shutter`.
+    In its `normalized` image corners are followed, see `normalize_contrast`. `flow` (3, 3) is how
+    what is seen moves while rows are read, see `vwnav.vision.shutter`.
     """
 
     t_s: float
     gray: Gray
+    normalized: Gray
     R_ned_camera: Array
     heading_rad: float
     agl_m: float
@@ -92,6 +94,9 @@ def turned(keyframe: Keyframe, turn_rad: float) -> Keyframe:
     view, (h, w) = keyframe.view, keyframe.view.gray.shape
     middle = (w - 1) / 2.0, (h - 1) / 2.0
     M = np.asarray(cv2.getRotationMatrix2D(middle, math.degrees(turn_rad), 1.0), np.float64)
-    gray = np.asarray(cv2.warpAffine(view.gray, M, (w, h)), np.uint8)
+    gray, normalized = (
+        np.asarray(cv2.warpAffine(image, M, (w, h)), np.uint8)
+        for image in (view.gray, view.normalized)
+    )
     uv = cv2.transform(keyframe.uv[None], M)[0]
-    return replace(keyframe, view=replace(view, gray=gray), uv=uv, turn=M)
+    return replace(keyframe, view=replace(view, gray=gray, normalized=normalized), uv=uv, turn=M)
