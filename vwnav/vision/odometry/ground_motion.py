@@ -137,14 +137,13 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     scores = np.einsum("nki,nk,n->ni", J, residuals, weights)
     clustered = _hanging_together(seen.rays1[:, :2], scores, covariance)
-    covariance *= clustered
     doubt = float(np.mean(inliers)) ** -2
     return Motion(
         parameters[_T],
         parameters[_PHI],
         parameters[_SLOPE],
-        _told_slope(parameters[_SLOPE], doubt * covariance[_SLOPE, _SLOPE], prior),
-        covariance,
+        _told_slope(parameters[_SLOPE], covariance[_SLOPE, _SLOPE], doubt * clustered, prior),
+        clustered * covariance,
         clustered,
         doubt,
         inliers,
@@ -319,13 +318,16 @@ def tilt_seen(motion: Motion, prior: MotionPrior, R0: Array, R1: Array) -> TiltS
     return TiltSeen(min(float(along) / variance, 1.0), float(ratios[0]), ratios[1:])
 
 
-def _told_slope(slope: Array, C: Array, prior: MotionPrior) -> tuple[Array, Array] | None:
+def _told_slope(
+    slope: Array, C: Array, unsure: float, prior: MotionPrior
+) -> tuple[Array, Array] | None:
     """Rise (2,) of the ground and its covariance, the prior taken out; None if that was all.
 
     A posterior N(p + m, C) of a prior N(p, s^2) measures p + K^-1 m to K^-1 C, K = I - C / s^2.
+    What tracks say is `unsure` times as unsure as they have it.
     """
     K = np.eye(2) - C / prior.slope**2
     if float(np.linalg.eigvalsh(0.5 * (K + K.T))[0]) < _LEAST_TOLD:
         return None
     told = np.linalg.solve(K, np.column_stack([slope - prior.slope_ne, C])).astype(np.float64)
-    return prior.slope_ne + told[:, 0], 0.5 * (told[:, 1:] + told[:, 1:].T)
+    return prior.slope_ne + told[:, 0], 0.5 * unsure * (told[:, 1:] + told[:, 1:].T)
