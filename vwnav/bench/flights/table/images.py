@@ -1,7 +1,7 @@
 """Images that tell nothing, tell it badly, late or seldom."""
 
 from vwnav.bench.flights.faults import camera as broken
-from vwnav.bench.flights.faults import fixes, light
+from vwnav.bench.flights.faults import fixes, light, sensor
 from vwnav.bench.flights.faults.aircraft import StationOrders
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
@@ -86,6 +86,10 @@ POOR = [
         ("cut off by a bad cable", broken.smeared),
         ("in fog", light.fog),
         ("under shadows of clouds", light.cloud_shadows),
+        ("of a mount that vibrates", sensor.jello),
+        ("whose focus hunts", sensor.focus_hunting),
+        ("compressed hard", sensor.compressed),
+        ("of little light and much gain", sensor.fixed_pattern),
     )
 ]
 # Images alone tell the way, in a light that does not stay as it is.
@@ -104,6 +108,9 @@ WITHOUT_FIXES = [
         ("whose exposure hunts", light.exposure_hunting),
         ("whose exposure follows the light", light.exposure_following),
         ("under shadows of clouds", light.cloud_shadows),
+        ("of a mount that vibrates", sensor.jello),
+        ("compressed hard", sensor.compressed),
+        ("of little light and much gain", sensor.fixed_pattern),
     )
 ]
 LATE = [
