@@ -287,11 +287,10 @@ def tilt_seen(motion: Motion, prior: MotionPrior, R0: Array, R1: Array) -> TiltS
     shows: an autopilot may have reset its own. With the prior N(0, s^2) of the turn beyond the
     attitudes' own taken out of its posterior N(m, c), the image says m / k, uncertain by c / k,
     with k = 1 - c / s^2. So it shows w + m / k, and the logarithm of
-    N(w + m / k; w, V) / N(w + m / k; 0, V), V = s^2 + f c / k, is (m.w + k w.w / 2) / (k V): f
-    times as unsure is what tracks say that hang together. A camera that is turned by a shows the
-    turn v = Rz(-a) w: (m.v + k (w.v - w.w / 2)) / (k V). Where its images are mirrored it shows
-    S v, S = 2 r r' - I with r the image's right over the ground: the axis of a turn is a
-    pseudovector.
+    N(w + m / k; w, V) / N(w + m / k; 0, V), V = s^2 + c / k = s^2 / k, is (m.w + k w.w / 2) / s^2.
+    A camera that is turned by a shows the turn v = Rz(-a) w: (m.v + k (w.v - w.w / 2)) / s^2. Where
+    its images are mirrored it shows S v, S = 2 r r' - I with r the image's right over the ground:
+    the axis of a turn is a pseudovector.
 
     Args:
         motion: what was fitted.
@@ -303,18 +302,16 @@ def tilt_seen(motion: Motion, prior: MotionPrior, R0: Array, R1: Array) -> TiltS
     c, s = math.cos(motion.turn_rad[2]), math.sin(motion.turn_rad[2])
     east, north = s * axis1[0] + c * axis1[1], c * axis1[0] - s * axis1[1]
     told_rad = np.cross(axis0, [north, east, axis1[2]])[:2]
-    covariance, variance = motion.covariance / motion.clustered, prior.tilt_increment_rad**2
-    along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3]))
-    seen_variance = 0.5 * float(covariance[3, 3] + covariance[4, 4])
-    k = max(1.0 - seen_variance / variance, 0.0)
+    covariance, variance = motion.covariance, prior.tilt_increment_rad**2
+    along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3])) / motion.clustered
+    k = max(1.0 - 0.5 * float(covariance[3, 3] + covariance[4, 4]) / variance, 0.0)
     north, east = told_rad.tolist()
     turns_rad = np.array([[north, east], [east, -north], [-north, -east], [-east, north]])
     back, across = right_n**2 - right_e**2, 2.0 * right_n * right_e
     mirror = np.array([[back, across], [across, -back]]) / (right_n**2 + right_e**2)
     shown_rad = np.concatenate([turns_rad, turns_rad[:2] @ mirror])
     seen_rad = motion.turn_rad[:2] + k * told_rad
-    spread = k * variance + motion.clustered * seen_variance
-    ratios = (shown_rad @ seen_rad - 0.5 * k * told_rad @ told_rad) / spread
+    ratios = (shown_rad @ seen_rad - 0.5 * k * told_rad @ told_rad) / variance
     return TiltSeen(min(float(along) / variance, 1.0), float(ratios[0]), ratios[1:])
 
 
