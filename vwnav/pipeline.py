@@ -25,7 +25,7 @@ from vwnav.estimation.disputes import is_told
 from vwnav.estimation.events import CameraReturned, Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.inertial.attitudes import yaw_of
-from vwnav.estimation.odometry_gate import MountCheck
+from vwnav.estimation.odometry_gate import CAMERA_GONE_S, MountCheck
 from vwnav.estimation.states import States, Verdict
 from vwnav.geometry.camera import to_gray
 from vwnav.geometry.exposure import with_motion
@@ -50,7 +50,6 @@ MAX_YAW_SIGMA_RAD = 0.5  # a heading less certain than this is none
 MIN_PRIOR_SIGMA_M, TOLD_DOUBT = 3.0, 4.0  # so many times as far around a person's word
 MAX_DOUBT, MAX_DOUBTED_AGL_RATIO = 8.0, 0.3
 LOST_SIGMA_M = 20.0  # of a place: beyond it images are joined
-CAMERA_GONE_S = 1.0  # without an image; its driver may have begun in another mode then
 _GIVES_WAY_S = 0.1  # at most, each time
 _NO_MOTION = {Verdict.IMPOSSIBLE: RejectReason.GEOMETRY, Verdict.DISTRUSTED: RejectReason.PRIOR}
 MIN_AGL_M = 2.0  # standing on the ground there is nothing to be matched ...

@@ -123,7 +123,7 @@ def test_a_turn_of_8_degrees_the_least_of_those_is_told_in_nearly_all_draws():
 def test_mirrored_images_are_told_once_it_tilts_about_both_axes_and_how_the_camera_hangs(
     degrees, had_fix, breaks, seed
 ):
-    """After a fix only where an image could not be followed.
+    """After a fix only where the camera was gone, so that its first image could not be followed.
 
     For the first 3 s it tilts about one axis: then they show what those of a camera show that is
     turned, and that is told; it is put right later.
@@ -144,6 +144,20 @@ def test_mirrored_images_are_told_once_it_tilts_about_both_axes_and_how_the_came
     assert sum(turn.mirrored for turn in told) == (1 if breaks or not had_fix else 0)
     if breaks or not had_fix:
         assert abs(wrap_pi(off_rad)) < 3.0 * told[-1].sigma_turned_rad
+
+
+@given(SEEDS)
+def test_a_camera_that_was_not_gone_does_not_begin_to_mirror_its_images(seed):
+    """Images half a second late, of which one could not be followed, were taken for mirrored."""
+    rng, check = np.random.default_rng(seed), MountCheck(True, LEVEL)
+    for i in range(90):
+        tilt_rad = 0.03 * rng.normal(size=2)
+        seen_rad = (MIRROR if i > 20 else 1.0) * tilt_rad + 0.01 * rng.normal(size=2)
+        if i == 20:
+            check.broke(0.1 * i)
+        else:
+            told = check.turned(shown(0.1 * i, tilt_rad, seen_rad, 0.01), AGREES, True)
+            assert told is None or not told.mirrored
 
 
 @given(SEEDS)

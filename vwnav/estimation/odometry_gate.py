@@ -53,7 +53,8 @@ _MOST_TOLD, _MOST_SHARE = 20.0, 0.2  # by one image: several have to agree
 _MOST_OF_ONE = 3.0  # witnesses that share a keyframe, and its error: less than is asked for
 _MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
 _FRESH_S = 10.0  # after an image that could not be followed
-_VERDICT = attrgetter("verdict")
+CAMERA_GONE_S = 1.0  # without an image; its driver may have begun in another mode then
+_VERDICT, _TIME = attrgetter("verdict"), attrgetter("t_s")
 _JUDGED = (Verdict.FUSED, Verdict.GATED, Verdict.DISTRUSTED)  # held against the IMU
 _LENS_DOUBTED = "what the pictures show contradicts the IMU: the lens may not be as calibrated"
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
@@ -65,10 +66,6 @@ class _Way(NamedTuple):
     agrees: bool
     velocity_ne_m_s: Array
     sigma_m_s: float
-
-
-def _time(way: _Way) -> float:
-    return way.t_s
 
 
 class _History(Protocol):
@@ -250,7 +247,7 @@ class OdometryGate:
     def _proved(self) -> bool:
         """Whether a wrong date would have made one in the window disagree."""
         ways = list(self._seen)
-        befores = (bisect.bisect_left(ways, way.t_s - DATE_OFF_S, key=_time) for way in ways)
+        befores = (bisect.bisect_left(ways, way.t_s - DATE_OFF_S, key=_TIME) for way in ways)
         changes = [
             math.dist(way.velocity_ne_m_s, ways[i].velocity_ne_m_s) / way.sigma_m_s
             for i, way in zip(befores, ways, strict=True)
@@ -276,14 +273,16 @@ class MountCheck:
         self._is_open = is_open
         self._turns, self._distrusted = 0, False
         self._knocks = KnockCheck(attitudes)
-        self._broke_s = -math.inf  # when an image could not be followed
+        self._seen_s = self._broke_s = self._back_s = -math.inf  # an image, see `broke`
         self._tilts = np.zeros((2, 6))  # from the start, and since it broke: sums, as `hangs` asks
         self._tilted_s = math.inf
         self._keyframe_s, self._left = -math.inf, _MOST_OF_ONE
 
     def broke(self, t_s: float) -> None:
         """An image could not be followed: from then on the camera may hang otherwise."""
-        self._broke_s = t_s
+        if t_s - self._seen_s > CAMERA_GONE_S:
+            self._back_s = t_s
+        self._seen_s = self._broke_s = t_s
         self._tilts[1] = 0.0
 
     def turned(
@@ -300,6 +299,7 @@ class MountCheck:
             had_fix: a map fix has been believed.
             borne_s: the newest whose heading was: what broke before has not knocked the camera.
         """
+        self._seen_s = motion.t1_s
         if borne_s > self._broke_s:
             self._broke_s, self._tilts[1] = -math.inf, 0.0
         if not self._is_open or self._turns == _MOST_TURNS:
@@ -339,12 +339,12 @@ class MountCheck:
         is_fresh = had_fix and motion.t1_s < self._broke_s + _FRESH_S
         for knocked in (True, False) if is_fresh else (False,):
             along, across, *mirrored, told, _ = sums = self._tilts[int(knocked)].tolist()
-            turned = math.hypot(along, across) - along
-            likelier = math.hypot(*mirrored) - math.hypot(
-                along - told * (1.0 - 1.0 / OVERSTATED), across
-            )
+            stated = along - told * (1.0 - 1.0 / OVERSTATED)
+            likelier = math.hypot(*mirrored) - math.hypot(stated, across)
             since_s, again = self._broke_s if knocked else motion.t1_s, self._turns > 0
-            sure = max(turned, likelier) >= LEAST_SURE
-            if sure and (found := hangs(sums, since_s, knocked, had_fix, again)) is not None:
+            sure = max(math.hypot(along, across) - along, likelier) >= LEAST_SURE
+            is_new = motion.t1_s < self._back_s + _FRESH_S  # its driver may have begun anew
+            found = hangs(sums, since_s, knocked, had_fix, again, is_new) if sure else None
+            if found is not None:
                 return found
         return None

@@ -91,7 +91,7 @@ class KnockCheck:
 
 
 def hangs(
-    sums: Sequence[float], t_s: float, knocked: bool, had_fix: bool, again: bool
+    sums: Sequence[float], t_s: float, knocked: bool, had_fix: bool, again: bool, is_new: bool
 ) -> Recalibrated | None:
     """How a camera hangs by how its images tilt; as told, or not sure: None.
 
@@ -107,11 +107,12 @@ def hangs(
         knocked: the images are those since one could not be followed.
         had_fix: a map fix has been believed.
         again: it was told before, and this is to put it right.
+        is_new: it was gone just before: no camera begins to mirror its images while it shows them.
     """
     along, across, mirror_along, mirror_across, told, seen_s = sums
     shown, mirrored = math.hypot(along, across), math.hypot(mirror_along, mirror_across)
     stated = math.hypot(along - told * (1.0 - 1.0 / OVERSTATED), across)  # as S z.w is
-    can_be = knocked or not had_fix
+    can_be = (knocked and is_new) or not had_fix
     if mirrored - stated >= _SURE and can_be:
         repeats = knocked and mirrored > _MOST_SHOWN * told
         if mirrored < _LEAST_SHOWN * told or repeats or seen_s < _LEAST_LIFTING_S:
