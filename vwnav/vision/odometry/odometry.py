@@ -312,7 +312,8 @@ class Odometry:
             way, covariance = motion.way, motion.covariance[:3, :3]
         swung_m = (view.R_ned_camera - keyframe.view.R_ned_camera) @ self._arm_camera_m
         self._remember(view, motion)
-        swings = self._swings_rad_s > max(_SWINGS_RAD_S, 2.0 * self._turns_rad_s)
+        shown = tilt.along > 0.0  # else it is how the camera hangs that images tell
+        swings = shown and self._swings_rad_s > max(_SWINGS_RAD_S, 2.0 * self._turns_rad_s)
         if not self._hangs and (
             swings
             or count < self._config.keep_ratio * len(keyframe.uv)
