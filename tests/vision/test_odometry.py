@@ -95,32 +95,6 @@ def test_a_hover_does_not_drift():
     assert np.abs(found[-1].displacement_ned_m).max() < 0.05
 
 
-@pytest.mark.parametrize("upright", [True, False])
-def test_a_keyframe_that_was_taken_in_a_swing_gives_way_to_an_image_that_was_not(upright):
-    """A rolling shutter stretches it by a hundredth, and a date that is off tilts it.
-
-    A swing that images do not show is told by the keyframe: how the camera hangs.
-    """
-    tilts_rad = [math.radians(each) for each in (9.0, 1.0, 0.5, 0.5, 0.5, 0.5)]
-    odometry, motions = Odometry(CAMERA, OdometryConfig()), []
-    for i, tilt_rad in enumerate(tilts_rad):
-        turn = rotation_from_vector([-tilt_rad, 0.0, 0.0])
-        read_out = np.diag([1.0, 1.0 if i else 1.012, 1.0])
-        H = CAMERA.K @ read_out @ turn @ np.linalg.inv(CAMERA.K)
-        seen = cv2.warpPerspective(image(ground(1), 3.0 * i), H, (WIDTH, HEIGHT))
-        seen = seen if upright else np.ascontiguousarray(seen[::-1, ::-1])
-        R_ned_body = rotation_from_euler(0.0, tilt_rad, 0.0)
-        motions.append(odometry.step(Frame(0.1 * i, seen, i), R_ned_body, AGL_M))
-    if upright:
-        last = motions[-1]
-        assert isinstance(last, OdometryMotion)
-        assert last.t0_s == pytest.approx(0.2)
-        assert last.displacement_ned_m[:2] == pytest.approx([9.0 * M_PER_PX, 0.0], abs=0.1)
-    else:
-        assert [each.t0_s for each in motions[2:]] == pytest.approx([0.1] * 4)
-        assert all(each.tilts_along < -5.0 for each in motions[2:])
-
-
 def test_a_roof_makes_it_less_sure_and_does_not_pull_it_away():
     flat = motions([0.0, 10.0])[-1]
     roofed = motions([0.0, 10.0], roof=slice(200, WIDTH))[-1]

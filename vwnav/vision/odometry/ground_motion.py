@@ -79,8 +79,6 @@ class Motion:
         slope: (2,) rise of the ground per north and east, in the frame of attitude 0.
         told_slope: the same and its covariance (2, 2) without the prior; None if that was all.
         covariance: (11, 11) of the three, and of what the ground bends by.
-        clustered: how much of that is due to tracks that hang together, at least 1: no prior is
-            the less believed for it.
         doubt: times that, for roofs and crowns of trees move on planes of their own: which of them
             was taken for the ground, and how much the rest pulls at it, the inliers' scatter does
             not tell.
@@ -94,7 +92,6 @@ class Motion:
     slope: Array
     told_slope: tuple[Array, Array] | None
     covariance: Array
-    clustered: float
     doubt: float
     inliers: BoolArray
     sigma_px: float
@@ -136,15 +133,14 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
         return None
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     scores = np.einsum("nki,nk,n->ni", J, residuals, weights)
-    clustered = _hanging_together(seen.rays1[:, :2], scores, covariance)
+    covariance *= _hanging_together(seen.rays1[:, :2], scores, covariance)
     doubt = float(np.mean(inliers)) ** -2
     return Motion(
         parameters[_T],
         parameters[_PHI],
         parameters[_SLOPE],
-        _told_slope(parameters[_SLOPE], covariance[_SLOPE, _SLOPE], doubt * clustered, prior),
-        clustered * covariance,
-        clustered,
+        _told_slope(parameters[_SLOPE], doubt * covariance[_SLOPE, _SLOPE], prior),
+        covariance,
         doubt,
         inliers,
         scale_px,
@@ -303,7 +299,7 @@ def tilt_seen(motion: Motion, prior: MotionPrior, R0: Array, R1: Array) -> TiltS
     east, north = s * axis1[0] + c * axis1[1], c * axis1[0] - s * axis1[1]
     told_rad = np.cross(axis0, [north, east, axis1[2]])[:2]
     covariance, variance = motion.covariance, prior.tilt_increment_rad**2
-    along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3])) / motion.clustered
+    along = 0.5 * (abs(covariance[0, 4]) + abs(covariance[1, 3]))
     k = max(1.0 - 0.5 * float(covariance[3, 3] + covariance[4, 4]) / variance, 0.0)
     north, east = told_rad.tolist()
     turns_rad = np.array([[north, east], [east, -north], [-north, -east], [-east, north]])
@@ -315,16 +311,13 @@ def tilt_seen(motion: Motion, prior: MotionPrior, R0: Array, R1: Array) -> TiltS
     return TiltSeen(min(float(along) / variance, 1.0), float(ratios[0]), ratios[1:])
 
 
-def _told_slope(
-    slope: Array, C: Array, unsure: float, prior: MotionPrior
-) -> tuple[Array, Array] | None:
+def _told_slope(slope: Array, C: Array, prior: MotionPrior) -> tuple[Array, Array] | None:
     """Rise (2,) of the ground and its covariance, the prior taken out; None if that was all.
 
     A posterior N(p + m, C) of a prior N(p, s^2) measures p + K^-1 m to K^-1 C, K = I - C / s^2.
-    What tracks say is `unsure` times as unsure as they have it.
     """
     K = np.eye(2) - C / prior.slope**2
     if float(np.linalg.eigvalsh(0.5 * (K + K.T))[0]) < _LEAST_TOLD:
         return None
     told = np.linalg.solve(K, np.column_stack([slope - prior.slope_ne, C])).astype(np.float64)
-    return prior.slope_ne + told[:, 0], 0.5 * unsure * (told[:, 1:] + told[:, 1:].T)
+    return prior.slope_ne + told[:, 0], 0.5 * (told[:, 1:] + told[:, 1:].T)

@@ -43,7 +43,6 @@ from vwnav.vision.shutter import as_at_once, ray_flow
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
 _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of ground
 _MOST_ZOOM = 0.5
-_SWINGS_RAD_S = 0.5  # a keyframe that does: shutter and date bend it, which seems a slope
 _STEEPEST = 0.5  # slope that ground is thought to have
 _WENT_BY_PX = 20.0  # the ground since the keyframe: no pixel shows what it showed
 # One picture, encoded anew or shaken: corners move by less, while the camera leans by 4 times that.
@@ -87,7 +86,6 @@ class Odometry:
         self._slope_ne: Array | None = None  # of the ground at the keyframe, by the images before
         self._heading_rad = 0.0
         self._overlay = Overlay(self._camera.width_px, self._camera.height_px)
-        self._turns_rad_s = self._swings_rad_s = 0.0  # the camera, now and about the keyframe
         self._broke = False  # the image before could not be followed
         # Keyframe, its corners (n, 2) in the first of images that are alike, how far they moved.
         self._like: tuple[Keyframe, Points, ReducedView, float] | None = None
@@ -124,13 +122,8 @@ class Odometry:
         if isinstance(view, Rejected):
             return view
         last, self._last = self._last, view
-        if last is not None:
-            turned_rad = np.linalg.norm(view.R_ned_camera - last.R_ned_camera) / math.sqrt(2.0)
-            self._turns_rad_s = float(turned_rad) / (view.t_s - last.t_s)
         if self._keyframe is None:
             return self._begin(view)
-        if last is self._keyframe.view:
-            self._swings_rad_s = max(self._swings_rad_s, self._turns_rad_s)
         result = self._follow(self._keyframe, view)
         if self._hangs:
             return Rejected(view.t_s, RejectReason.NO_FRAME, _STILL)
@@ -185,7 +178,7 @@ class Odometry:
         if contrast < self._config.least_contrast:
             return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
         flow = ray_flow(frame, self._camera, R_ned_camera[2], height_m) if self._rolling else None
-        heading_rad = math.atan2(R_ned_body[1, 0], R_ned_body[0, 0])
+        heading_rad = _heading(R_ned_body)
         images = gray, normalize_contrast(gray)
         return ReducedView(frame.t_s, *images, R_ned_camera, heading_rad, agl_m, height_m, flow)
 
@@ -217,7 +210,6 @@ class Odometry:
         self._keyframe = Keyframe(view, uv[down], rays[down])
         velocity = self._course.way_per_s
         self._course = Course(view.t_s, np.zeros(3), np.zeros(3), velocity)
-        self._swings_rad_s = self._turns_rad_s
         return self._keyframe
 
     def _guess(self, keyframe: Keyframe, view: ReducedView) -> Points:
@@ -299,9 +291,8 @@ class Odometry:
         tilt: TiltSeen,
         slope: tuple[Array, Array] | None,
     ) -> OdometryMotion:
-        R_ned_camera = rotation_from_vector(motion.turn_rad) @ view.R_ned_camera
-        R_ned_body = R_ned_camera @ self._camera.R_body_camera.T
-        heading1_rad = math.atan2(R_ned_body[1, 0], R_ned_body[0, 0])
+        turn = rotation_from_vector(motion.turn_rad)
+        heading1_rad = _heading(turn @ view.R_ned_camera @ self._camera.R_body_camera.T)
         increment_rad = wrap_pi(heading1_rad - keyframe.view.heading_rad)
         height_m = keyframe.view.height_m
         if self._alone:
@@ -312,18 +303,14 @@ class Odometry:
             way, covariance = motion.way, motion.covariance[:3, :3]
         swung_m = (view.R_ned_camera - keyframe.view.R_ned_camera) @ self._arm_camera_m
         self._remember(view, motion)
-        shown = tilt.along > 0.0  # else it is how the camera hangs that images tell
-        swings = shown and self._swings_rad_s > max(_SWINGS_RAD_S, 2.0 * self._turns_rad_s)
         if not self._hangs and (
-            swings
-            or count < self._config.keep_ratio * len(keyframe.uv)
+            count < self._config.keep_ratio * len(keyframe.uv)
             or abs(increment_rad) > self._config.keep_turn_rad
             or abs(motion.way[2]) > self._config.keep_zoom
         ):
             if self._alone and self._camera.K[0, 0] * np.hypot(*motion.way[:2]) > _WENT_BY_PX:
                 self._overlay.look(keyframe.view.gray, view.gray)
-            if not swings:
-                self._slope_ne = np.clip(motion.slope, -_STEEPEST, _STEEPEST)
+            self._slope_ne = np.clip(motion.slope, -_STEEPEST, _STEEPEST)
             self._start(view)
         return OdometryMotion(
             t0_s=keyframe.view.t_s,
@@ -348,3 +335,7 @@ class Odometry:
         turn_rad = motion.turn_rad * (0.0 if self._alone else 1.0)
         self._course = Course(view.t_s, motion.way, turn_rad, velocity)
         self._last = view
+
+
+def _heading(R_ned_body: Array) -> float:
+    return math.atan2(float(R_ned_body[1, 0]), float(R_ned_body[0, 0]))
