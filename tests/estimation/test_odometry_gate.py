@@ -247,26 +247,36 @@ def test_so_are_not_those_of_which_a_third_is():
     assert not gate.lost
 
 
-@pytest.mark.parametrize(("keyframes", "lost"), [(1, False), (6, True)])
-def test_one_keyframe_that_was_dated_wrongly_makes_no_camera_upside_down(keyframes, lost):
-    """Every image that hovers on it shows another tilt than the attitudes tell: that of one."""
-    ekf, said = Ekf(EkfConfig()), []
+def hovering_on(keyframes: list[tuple[float, float]]) -> bool:
+    """Whether ways are lost where every image of a keyframe, (seconds, tilts_along), says that."""
+    ekf, said, t0_s = Ekf(EkfConfig()), [], 0.1
     ekf.on_event(said.append)
     ekf.handle(Attitude(0.0, LEVEL))
     ekf.initialise(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -20.0]), agl_m=20.0))
-    for n in range(1, 301):
+    starts_s = [t0_s + sum(seconds for seconds, _ in keyframes[:k]) for k in range(len(keyframes))]
+    for n in range(1, round(50.0 * (starts_s[-1] + keyframes[-1][0]))):
         t_s = round(0.02 * n, 6)
         ekf.handle(Attitude(t_s, LEVEL))
         ekf.handle(ImuSample(t_s, np.array([0.0, 0.0, -9.80665]), np.zeros(3)))
-        if n % 5 == 0:
+        if n % 5 == 0 and t_s > t0_s:
             ekf.handle(Height(t_s, 20.0))
-            each_s = 6.0 / keyframes
-            since_s = round(max(t_s - 0.1, 0.1) // each_s * each_s + 0.1, 6)
-            if since_s < t_s:
-                way = OdometryMotion(
-                    since_s, t_s, np.zeros(3), 1e-4 * np.eye(3), 0.0, 0.003, 20.0, 99,
-                    tilts_along=-5.0,
-                )  # fmt: skip
-                ekf.handle(way)
+            k = max(k for k, start_s in enumerate(starts_s) if start_s < t_s - 0.01)
+            way = OdometryMotion(
+                round(starts_s[k], 6), t_s, np.zeros(3), 1e-4 * np.eye(3), 0.0, 0.003, 20.0, 99,
+                tilts_along=keyframes[k][1],
+            )  # fmt: skip
+            ekf.handle(way)
         ekf.estimate(t_s)
-    assert any("pictures show contradicts" in line for line in said) is lost
+    return any("pictures show contradicts" in line for line in said)
+
+
+@pytest.mark.parametrize(("keyframes", "lost"), [(1, False), (6, True)])
+def test_one_keyframe_that_was_dated_wrongly_makes_no_camera_upside_down(keyframes, lost):
+    """Every image that hovers on it shows another tilt than the attitudes tell: that of one."""
+    assert hovering_on(keyframes * [(6.0 / keyframes, -5.0)]) is lost
+
+
+@pytest.mark.parametrize(("against", "lost"), [(3, False), (6, True)])
+def test_a_camera_that_has_long_hung_as_told_is_not_turned_by_some_keyframes(against, lost):
+    """Those of a hard turn, whose attitudes erred by degrees: 160 m off without its ways."""
+    assert hovering_on(4 * [(1.0, 5.0)] + against * [(1.0, -5.0)]) is lost

@@ -48,7 +48,7 @@ _ZOOMED_AGAIN_S = 30.0  # what leaps more often is no lens
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
 _APART_S = 0.5  # neighbours share their errors: so long after each other they are two witnesses
 _MOST_ALONG = 5.0  # what one says at most, and those of one keyframe
-_SURE_ALONG = 7.0  # of them all, once in a thousand; more is not remembered
+_SURE_ALONG = 7.0  # of them all, once in a thousand; that they do is remembered twice as long
 _MOST_TOLD, _MOST_SHARE = 20.0, 0.2  # by one image: several have to agree
 _MOST_OF_ONE = 3.0  # witnesses that share a keyframe, and its error: less than is asked for
 _MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
@@ -184,7 +184,7 @@ class OdometryGate:
         told = share * min(max(motion.tilts_along, -_MOST_ALONG), _MOST_ALONG)
         says = min(max(said + told, -_MOST_ALONG), _MOST_ALONG)
         self._by_keyframe = (motion.t0_s, says)
-        self._along = min(max(self._along + says - said, -_SURE_ALONG), _SURE_ALONG)
+        self._along = min(max(self._along + says - said, -_SURE_ALONG), 2.0 * _SURE_ALONG)
         self._turned = self._along == -_SURE_ALONG
         return event
 
