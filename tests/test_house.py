@@ -10,7 +10,7 @@ from tests.house import measure
 BOUNDS = {
     "step_files": 25,
     "step_functions": 194,
-    "step_crossings": 167,
+    "step_crossings": 166,
     "import_chain": 12,
     "files_in_a_folder": 14,
     "largest_file": 350,

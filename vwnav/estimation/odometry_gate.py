@@ -273,13 +273,13 @@ class MountCheck:
         self._is_open = is_open
         self._turns, self._distrusted = 0, False
         self._knocks = KnockCheck(attitudes)
-        self._seen_s = self._broke_s = self._back_s = -math.inf  # an image, see `broke`
+        self._seen_s = self._broke_s = self._back_s = -math.inf  # image: any; lost; first again
         self._tilts = np.zeros((2, 6))  # from the start, and since it broke: sums, as `hangs` asks
         self._tilted_s = math.inf
         self._keyframe_s, self._left = -math.inf, _MOST_OF_ONE
 
     def broke(self, t_s: float) -> None:
-        """An image could not be followed: from then on the camera may hang otherwise."""
+        """An image could not be followed: the camera may hang otherwise, or be another if gone."""
         if t_s - self._seen_s > CAMERA_GONE_S:
             self._back_s = t_s
         self._seen_s = self._broke_s = t_s

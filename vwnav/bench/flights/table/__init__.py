@@ -39,6 +39,7 @@ QUICK = {
     "one attitude level and facing north",
     "attitude 0.3 s late",
     "pictures black for good at 50 m",
+    "no fix for 12 s, pictures whose exposure hunts",
     "link cut for 5 s on the route",
     "pilot hands back, and takes over again while the link is cut",
     "navigator stopped for 20 s",
