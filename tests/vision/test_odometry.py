@@ -315,6 +315,16 @@ def test_nor_is_it_one_whose_exposure_hunts():
     assert all(map(is_none, looks_of(hunting, tilts_deg)[12:]))
 
 
+def test_nor_is_it_one_that_had_moved_while_it_lived():
+    """By 0.8 px before it froze, in a hover: 12 s of nothing were believed, 8 sigmas."""
+    tilts_deg = [0.35 * math.sin(0.8 * i) for i in range(40)]
+    px = [-math.tan(math.radians(t)) * AGL_M / M_PER_PX for t in tilts_deg]
+    live = [image(ground(1), 0.5 * each) for each in px[:11]]
+    looks = looks_of([*live, *noisy(29)], tilts_deg)
+    assert not any(map(is_none, looks[:11]))
+    assert all(map(is_none, looks[24:]))
+
+
 def test_a_hover_is_no_picture_that_stands_still():
     """In still air one is: it does not turn. And what turns sees the ground move."""
     assert not any(map(is_none, looks_of(noisy(24), 24 * [0.3])))

@@ -37,7 +37,7 @@ from vwnav.vision.odometry.ground_motion import (
     fit_motion,
     tilt_seen,
 )
-from vwnav.vision.odometry.views import Course, Keyframe, Overlay, ReducedView, turned
+from vwnav.vision.odometry.views import Alike, Course, Keyframe, Overlay, ReducedView, turned
 from vwnav.vision.shutter import as_at_once, ray_flow
 
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
@@ -47,6 +47,7 @@ _STEEPEST = 0.5  # slope that ground is thought to have
 _WENT_BY_PX = 20.0  # the ground since the keyframe: no pixel shows what it showed
 # One picture, encoded anew or shaken: corners move by less, while the camera leans by 4 times that.
 _STILL_PX, _STILL_SHARE, _STILL_S, _STILL_FROM_M, _TURNED_PX, _TURNS = 1.5, 0.9, 1.0, 3.0, 1.0, 4.0
+_ALIKE = 8  # such images, a second after each other
 _STILL = "they stand still while the aircraft turns"
 _KNOCKS_RAD = tuple(math.radians(each) for each in (20.0, -20.0, 40.0, -40.0))
 
@@ -87,8 +88,7 @@ class Odometry:
         self._heading_rad = 0.0
         self._overlay = Overlay(self._camera.width_px, self._camera.height_px)
         self._broke = False  # the image before could not be followed
-        # Keyframe, its corners (n, 2) in the first of images that are alike, how far they moved.
-        self._like: tuple[Keyframe, Points, ReducedView, float] | None = None
+        self._alike: list[Alike] = []  # images of the keyframe that the newest is like
         self._hangs = False  # the camera: it is always the same picture
 
     def mistook(self) -> None:
@@ -214,8 +214,8 @@ class Odometry:
 
     def _guess(self, keyframe: Keyframe, view: ReducedView) -> Points:
         """Where the corners (n, 2) should be now if the camera flies on as it did, or hangs."""
-        if self._hangs and self._like is not None and self._like[0] is keyframe:
-            return np.nan_to_num(self._like[1], nan=-1e3)
+        if self._hangs and self._alike[-1].keyframe is keyframe:
+            return np.nan_to_num(self._alike[-1].uv, nan=-1e3)
         course = self._course
         way = course.way + (view.t_s - course.t_s) * course.way_per_s
         R_camera_ned = (rotation_from_vector(course.turn_rad) @ view.R_ned_camera).T
@@ -256,19 +256,25 @@ class Odometry:
         return self._accept(keyframe, view, unsure, count, tilt, slope)
 
     def _is_still(self, keyframe: Keyframe, view: ReducedView, uv: Points) -> bool:
-        """Whether it is always one picture: what a camera that lives shows turns with it."""
-        if self._like is not None and self._like[0] is keyframe:
-            _, uv_like, first, most_px = self._like
-            moved_px = np.sort(np.hypot(*(uv - uv_like).T))  # NaN at the end
+        """Whether it is always one picture: what a camera that lives shows turns with it.
+
+        Held against images of each of the last seconds: what it showed before it hung had moved.
+        """
+        before, self._alike, tells = self._alike, [], False
+        for image in before if before and before[0].keyframe is keyframe else ():
+            moved_px = np.sort(np.hypot(*(uv - image.uv).T))  # NaN at the end
             far_px = moved_px[int(_STILL_SHARE * np.count_nonzero(np.isfinite(moved_px)))]
             if far_px < _STILL_PX:
-                most_px = max(most_px, float(far_px))
-                self._like = keyframe, uv_like, first, most_px
-                turned = np.linalg.norm((view.R_ned_camera - first.R_ned_camera)[:, 2])  # its axis
-                lasts = view.t_s - first.t_s >= _STILL_S and view.height_m > _STILL_FROM_M
+                most_px = max(image.most_px, float(far_px))
+                self._alike.append(image._replace(most_px=most_px))
+                turned = np.linalg.norm((view.R_ned_camera - image.view.R_ned_camera)[:, 2])
+                lasts = view.t_s - image.view.t_s >= _STILL_S and view.height_m > _STILL_FROM_M
                 least_px = max(_TURNED_PX, _TURNS * most_px)
-                return self._hangs or bool(lasts and self._camera.K[0, 0] * turned > least_px)
-        self._like = keyframe, uv, view, 0.0
+                tells = tells or bool(lasts and self._camera.K[0, 0] * turned > least_px)
+        if self._alike and (tells or self._hangs):
+            return True
+        if not self._alike or view.t_s - self._alike[-1].view.t_s >= _STILL_S:
+            self._alike = [*self._alike[1 - _ALIKE :], Alike(keyframe, uv, view, 0.0)]
         return False
 
     def _prior(self, keyframe: ReducedView, view: ReducedView) -> MotionPrior:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -44,6 +45,18 @@ class Keyframe:
     uv: Points
     rays: Array
     turn: Array | None = None
+
+
+class Alike(NamedTuple):
+    """A view that later ones hardly differ from: its keyframe's corners uv (n, 2) in it.
+
+    Lost ones are NaN; `most_px` is how far they have moved since.
+    """
+
+    keyframe: Keyframe
+    uv: Points
+    view: ReducedView
+    most_px: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
