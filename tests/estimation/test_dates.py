@@ -2,17 +2,20 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import toeplitz
 from scipy.spatial.transform import Rotation
 
 from vwnav.estimation.beginning.starts import Start, first_state
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.disputes import of_doubtful_date
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.inertial.dates import DateCheck, of_doubtful_date
+from vwnav.estimation.inertial.imu import ImuHistory
+from vwnav.estimation.inertial.integrals import ImuIntegrals
 from vwnav.estimation.odometry_gate import OdometryGate
+from vwnav.estimation.states import States
 from vwnav.types import Attitude, OdometryMotion
 
 SURE_M2 = 0.01**2
@@ -38,7 +41,8 @@ def made_unsure_m2(lean: Rotation, agl_m: float, rate_rad_s: float):
         agl_m=agl_m,
         tracks=100,
     )
-    told = OdometryGate(attitudes, EkfConfig()).displacement(way).motion.covariance_ned_m2
+    gate = OdometryGate(attitudes, ImuHistory(attitudes, 10.0), EkfConfig())
+    told = gate.displacement(way).motion.covariance_ned_m2
     return told - SURE_M2 * np.eye(3)
 
 
@@ -80,13 +84,65 @@ def test_doubtful_fixes_tell_as_much_as_an_error_they_share_leaves(spacing_s):
             position_ne_m=np.zeros(2),
             covariance_ne_m2=1e-6 * np.eye(2),
         )
-        doubted = of_doubtful_date(fix, state._replace(t_last_fix_s=last_s))
+        doubted = of_doubtful_date(fix, state._replace(t_last_fix_s=last_s), AttitudeHistory(1.0))
         told += 1.0 / doubted.covariance_ne_m2[0, 0]
         last_s = fix.t_s
     # The least-squares mean of correlated samples: 1 / (1' C^-1 1).
     C_m2 = (0.5 * speed_m_s) ** 2 * toeplitz(np.exp(-spacing_s * np.arange(count)))
     expected = np.ones(count) @ np.linalg.solve(C_m2, np.ones(count))
     assert told == pytest.approx(expected, rel=1e-3)
+
+
+def checked(seed: int, late_s: float, gain: float, seconds: float = 60.0) -> list[bool]:
+    """Whether images, that late and of a ground that moves by `gain`, are right: ten a second."""
+    rng = np.random.default_rng(seed)
+    # North and east: a velocity of some metres a second that swings within seconds.
+    rates, phases = rng.uniform(0.5, 1.6, (4, 2)), rng.uniform(0.0, 2.0 * np.pi, (4, 2))
+
+    def velocity_m_s(t_s: float) -> np.ndarray:
+        return np.array([4.0, 0.0]) + np.sum(np.sin(rates * t_s + phases), axis=0)
+
+    def place_m(t_s: float) -> np.ndarray:
+        return np.array([4.0, 0.0]) * t_s - np.sum(np.cos(rates * t_s + phases) / rates, axis=0)
+
+    check, told = DateCheck(), []
+    state = first_state(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0])), EkfConfig())
+    state.P[States.VELOCITY, States.VELOCITY] = 2.0**2 * np.eye(3)  # which tells nothing
+    for n in range(round(10 * seconds)):
+        t_s, keyframe_s = 0.1 * n, 3.0 * (n // 30)
+        way_m = gain * (place_m(t_s - late_s) - place_m(keyframe_s - late_s))
+        way_m = np.append(way_m + rng.normal(0.0, 0.03, 2), 0.0)
+        sigmas_m2 = 0.07**2 * np.eye(3)
+        motion = OdometryMotion(keyframe_s, t_s, way_m, sigmas_m2, 0.0, 0.003, 50.0, 99)
+        integrals = np.zeros((3, 5))
+        integrals[:2, 3] = velocity_m_s(t_s) + 0.05 * t_s  # an accelerometer's bias
+        felt = ImuIntegrals(0, t_s, integrals, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(2))
+        check.see(motion, felt, state)
+        told.append(check.are_right(t_s))
+    return told
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=20, deadline=None)
+def test_an_aircraft_that_changes_its_speed_shows_of_which_moment_images_are(seed):
+    assert checked(seed, 0.0, 1.0)[-1]
+
+
+@given(st.integers(0, 10_000), st.sampled_from([(0.5, 1.0), (0.3, 1.0), (0.0, 0.0)]))
+@settings(max_examples=30, deadline=None)
+def test_images_of_another_moment_or_of_no_ground_never_are_right(seed, late_and_gain):
+    assert not any(checked(seed, *late_and_gain))
+
+
+def test_without_an_imu_or_in_a_steady_flight_nothing_is_known_of_them():
+    check = DateCheck()
+    state = first_state(Start(t_s=0.0, position_ned_m=np.array([0.0, 0.0, -50.0])), EkfConfig())
+    for n in range(300):
+        t_s, way_m = 0.1 * n, np.array([0.4 * n, 0.0, 0.0])
+        motion = OdometryMotion(0.0, t_s, way_m, SURE_M2 * np.eye(3), 0.0, 0.003, 50.0, 99)
+        steady = ImuIntegrals(0, t_s, np.zeros((3, 5)), np.array([1.0, 0, 0, 0]), np.zeros(2))
+        check.see(motion, None if n < 150 else steady, state)
+        assert not check.are_right(t_s)
 
 
 @pytest.mark.parametrize("attitude_hz", [50.0, 30.0])

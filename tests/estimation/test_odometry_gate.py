@@ -14,12 +14,19 @@ from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import Misled, NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.odometry import apply_misled
 from vwnav.estimation.odometry_gate import OdometryGate
 from vwnav.estimation.states import FilterState, States, Verdict
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+WAY = OdometryMotion(-1.0, 0.0, np.zeros(3), 0.05**2 * np.eye(3), 0.0, 0.003, 50.0, 99)
+
+
+def gate_without_imu() -> OdometryGate:
+    attitudes = AttitudeHistory(1.0)
+    return OdometryGate(attitudes, ImuHistory(attitudes, 1.0), EkfConfig())
 
 
 def tell(
@@ -32,12 +39,12 @@ def tell(
         x[States.VELOCITY.start] = 8.0 - 0.1 * i * brakes_m_s2
         t_s = begin_s + 0.1 * i
         state = FilterState(t_s, x, P, True, True, tracked_s=t_s, exposed_s=t_s)
-        gate.learn(agrees, state)
+        gate.learn(agrees, replace(WAY, t1_s=t_s), state)
     return begin_s + seconds
 
 
 def test_ways_that_are_refused_are_lost_and_come_back_with_a_fix_only():
-    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    gate = gate_without_imu()
     t_s = tell(gate, 0.0, 5.0, True)
     t_s = tell(gate, t_s, 1.3, False)
     assert gate.lost
@@ -49,7 +56,7 @@ def test_ways_that_are_refused_are_lost_and_come_back_with_a_fix_only():
 
 
 def test_lost_again_they_have_to_agree_for_longer():
-    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    gate = gate_without_imu()
     t_s = tell(gate, 0.0, 1.5, False)
     gate.fixes += 1
     t_s = tell(gate, t_s, 3.0, True)
@@ -63,7 +70,7 @@ def test_lost_again_they_have_to_agree_for_longer():
 
 
 def test_in_steady_flight_ways_of_another_moment_agree_and_that_proves_nothing():
-    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    gate = gate_without_imu()
     t_s = tell(gate, 0.0, 1.5, False, brakes_m_s2=0.0)
     gate.fixes += 1
     t_s = tell(gate, t_s, 30.0, True, brakes_m_s2=0.0)
@@ -73,7 +80,7 @@ def test_in_steady_flight_ways_of_another_moment_agree_and_that_proves_nothing()
 
 
 def test_after_a_gap_of_images_it_may_be_the_filter_that_is_wrong():
-    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    gate = gate_without_imu()
     tell(gate, tell(gate, 0.0, 0.8, False) + 1.0, 1.0, False)
     assert not gate.lost
 
@@ -232,7 +239,7 @@ def test_one_fix_or_two_do_not_prove_the_ways_before_they_were_lost(fixes_s):
 
 def test_ways_of_which_half_are_refused_are_lost():
     """Over ground that repeats every second one passed by chance, and turned the velocity."""
-    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    gate = gate_without_imu()
     t_s = tell(gate, 0.0, 5.0, True)
     for n in range(14):
         t_s = tell(gate, t_s, 0.1, n % 2 == 0)
@@ -240,7 +247,7 @@ def test_ways_of_which_half_are_refused_are_lost():
 
 
 def test_so_are_not_those_of_which_a_third_is():
-    gate = OdometryGate(AttitudeHistory(1.0), EkfConfig())
+    gate = gate_without_imu()
     t_s = tell(gate, 0.0, 5.0, True)
     for n in range(60):
         t_s = tell(gate, t_s, 0.1, n % 3 != 0)

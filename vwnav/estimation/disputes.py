@@ -7,7 +7,6 @@ import numpy as np
 
 from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.events import NedFix
 from vwnav.estimation.inertial.attitudes import level_axes
 from vwnav.estimation.states import (
     CHI_SQUARE_GATE,
@@ -31,10 +30,6 @@ _PLACES_BEFORE = (States.ANCHOR_NE, States.EXPOSED_POSITION)
 BAROMETER_OFF_M = 8.0  # what weather, gusts and rotors do to it within a flight, at most
 _MOST_REMEMBERED = 64  # rejected innovations
 _DRIFTS_S = 30.0  # for so long at most: else all that is old would agree
-DATE_OFF_S = 0.5  # by which images may be dated wrongly
-_LEAN_DOUBT_RAD = 0.15
-_ALIKE_S = 1.0  # for so long neighbours are off alike
-_SHORTEST_S = 0.1  # from fix to fix
 
 
 def freed(state: FilterState, index: int, sigma: float) -> FilterState:
@@ -172,23 +167,6 @@ def relocates(state: FilterState, config: EkfConfig) -> bool:
     if is_told(state):
         count, span_s = config.offset_count, config.offset_span_s
     return convinces(state.rejected_fixes, config.relocation_drift_m_s, count, span_s)
-
-
-def of_doubtful_date(fix: NedFix, state: FilterState) -> NedFix:
-    """Of an image whose ways contradict the IMU: it may be from another moment than it says.
-
-    The aircraft was elsewhere then, and leaned otherwise: as it does for a second or so, so that
-    neighbours are off alike. Of samples of a first-order Gauss-Markov error, whose correlation from
-    one to the next is r, each after the first adds (1 - r) / (1 + r) of what that one told (the
-    least-squares mean of an autoregression).
-    """
-    flown_m = DATE_OFF_S * state.x[States.VELOCITY_NE]
-    leant_m = _LEAN_DOUBT_RAD * max(state.agl_m, 0.0)
-    doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
-    since_s = math.inf if state.t_last_fix_s is None else abs(fix.t_s - state.t_last_fix_s)
-    r = math.exp(-max(since_s, _SHORTEST_S) / _ALIKE_S)
-    doubt_m2 *= (1.0 + r) / (1.0 - r)
-    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)
 
 
 def leaning(state: FilterState, measurement: Measurement, sigma_m: float) -> FilterState:

@@ -14,9 +14,8 @@ from vwnav.estimation.beginning.explanations import explained
 from vwnav.estimation.beginning.starts import Start, begun_anew, first_state
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, Ground, patch_below
-from vwnav.estimation.disputes import is_told, of_doubtful_date
+from vwnav.estimation.disputes import is_told
 from vwnav.estimation.events import (
-    Displacement,
     Drag,
     Event,
     LateFix,
@@ -29,6 +28,7 @@ from vwnav.estimation.events import (
 )
 from vwnav.estimation.inertial.attitude_gate import AttitudeGate
 from vwnav.estimation.inertial.attitudes import MAX_GAP_S, AttitudeHistory
+from vwnav.estimation.inertial.dates import of_doubtful_date
 from vwnav.estimation.inertial.drag import explained_m_s2
 from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.inertial.imu_gate import ImuGate
@@ -74,15 +74,13 @@ class Ekf:
         self._imu = ImuHistory(self.attitudes, length_s)
         self._attitude_gate = AttitudeGate(self.attitudes, self._imu)
         self._imu_gate = ImuGate(self.attitudes, self._imu)
-        self._odometry_gate = OdometryGate(self.attitudes, config)
-        self._explained_s = -math.inf
+        self._odometry_gate = OdometryGate(self.attitudes, self._imu, config)
+        self._explained_s = self._restarted_s = self._drag_s = -math.inf
         self._context = Context(config, self.attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
         self._input_log: Callable[[Input], None] = lambda _: None
         self._say: Callable[[str], None] = lambda _: None
-        self._restarted_s = -math.inf
-        self._drag_s = -math.inf
         self._refused_ways = 0  # in a row
 
     def covers(self, t_s: float) -> bool:
@@ -229,7 +227,7 @@ class Ekf:
         if refusal is not None or self._timeline is None:
             return Innovation(refusal or Verdict.NOT_STARTED)
         if self._odometry_gate.lost:
-            fix = of_doubtful_date(fix, self._timeline.newest)
+            fix = of_doubtful_date(fix, self._timeline.newest, self.attitudes)
         # At the beginning of the history: an image taken since may have been cloned in its place.
         oldest_s = self._timeline.oldest.t_s
         innovation = self._insert(fix if fix.t_s >= oldest_s else LateFix(oldest_s, fix))
@@ -267,7 +265,7 @@ class Ekf:
             if doubtful and self._imu_gate.refused_ways(self._refused_ways, motion.t1_s):
                 self._imu_changed()
                 gate.forgive()
-            elif gate.learn(agrees, self._timeline.newest):
+            elif gate.learn(agrees, motion, self._timeline.newest):
                 if gate.lost or gate.lens_doubted:
                     self._take_ways_back()
                 self._say(gate.words)
@@ -281,10 +279,11 @@ class Ekf:
         """
         assert self._timeline is not None
         newest, believed_s = self._timeline.newest, self._odometry_gate.believed_s
-        self._timeline.leave_out(Displacement, NedFix)
+        have_taught = not self._odometry_gate.borne and believed_s < self._timeline.oldest.t_s
+        self._timeline.leave_out_ways()
         if self._odometry_gate.lens_doubted:
             self._insert(LensDoubted(newest.t_s))
-        elif not self._odometry_gate.borne:
+        elif have_taught:
             self._insert(Misled(newest.t_s, max(believed_s, newest.t_s - _MISLED_S)))
 
     def _meet_way(self, motion: OdometryMotion) -> Innovation:

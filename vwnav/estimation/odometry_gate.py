@@ -10,7 +10,6 @@ tilt the other way whenever the aircraft does (`OdometryMotion.tilts_along`). So
 much a camera is turned on its mount (`MountCheck`): as the compass' error it cost an aircraft.
 """
 
-import bisect
 import math
 from collections import deque
 from dataclasses import replace
@@ -22,11 +21,12 @@ import numpy as np
 from vwnav.estimation.beginning.lens import may_be_the_lens
 from vwnav.estimation.beginning.mount import LEAST_SURE, OVERSTATED, KnockCheck, hangs
 from vwnav.estimation.config import EkfConfig
-from vwnav.estimation.disputes import DATE_OFF_S
 from vwnav.estimation.events import CameraReturned, Displacement, Event, NewKeyframe, Recalibrated
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.inertial.dates import DateCheck
+from vwnav.estimation.inertial.imu import ImuHistory
 from vwnav.estimation.odometry import between, zoomed
-from vwnav.estimation.states import FilterState, Innovation, States, Verdict
+from vwnav.estimation.states import FilterState, Innovation, Verdict
 from vwnav.types import Array, OdometryMotion
 
 _HARD_LEAN = 0.25  # tangent; of less the along part is within what odometry says of itself
@@ -39,7 +39,6 @@ _GAP_S = 0.5  # after which it is the filter that may be wrong
 _DOUBTED, _TRUSTED = 0.5, 0.9  # share that agrees: at most, and at least
 _DOUBTED_UNBORNE, _UNBORNE = 0.8, 3  # of ways that no map fix bears: so many were refused in a row
 _AGREE_S = 2.4  # for so long they have to agree to be believed again ...
-_TELLING_SIGMAS = 3.0  # ... also when the velocity had changed by so much ...
 _BEARING = 3  # map fixes that bear what ways have told
 _LONGER = 8.0  # times as long when they were lost again ...
 _FORGIVEN_S = 60.0  # ... within this
@@ -54,7 +53,7 @@ _MOST_OF_ONE = 3.0  # witnesses that share a keyframe, and its error: less than 
 _MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
 _FRESH_S = 10.0  # after an image that could not be followed
 CAMERA_GONE_S = 1.0  # without an image; its driver may have begun in another mode then
-_VERDICT, _TIME = attrgetter("verdict"), attrgetter("t_s")
+_VERDICT = attrgetter("verdict")
 _JUDGED = (Verdict.FUSED, Verdict.GATED, Verdict.DISTRUSTED)  # held against the IMU
 _LENS_DOUBTED = "what the pictures show contradicts the IMU: the lens may not be as calibrated"
 _CONTRADICTS = "what the pictures show contradicts the IMU: their ways are not used"
@@ -64,8 +63,6 @@ _AGREES = "the pictures' ways agree with the IMU again"
 class _Way(NamedTuple):
     t_s: float
     agrees: bool
-    velocity_ne_m_s: Array
-    sigma_m_s: float
 
 
 class _History(Protocol):
@@ -94,8 +91,9 @@ class OdometryGate:
         believed_s: time of the first way since they are believed.
     """
 
-    def __init__(self, attitudes: AttitudeHistory, config: EkfConfig) -> None:
-        self._attitudes, self._config = attitudes, config
+    def __init__(self, attitudes: AttitudeHistory, imu: ImuHistory, config: EkfConfig) -> None:
+        self._attitudes, self._imu, self._config = attitudes, imu, config
+        self._dates = DateCheck()
         self._newest: OdometryMotion | None = None
         self._zoomed_s = -math.inf
         self.lens_doubted = False
@@ -205,19 +203,21 @@ class OdometryGate:
             return _LENS_DOUBTED
         return _CONTRADICTS if self.lost else _AGREES
 
-    def learn(self, agrees: bool, state: FilterState) -> bool:
+    def learn(self, agrees: bool, motion: OdometryMotion, state: FilterState) -> bool:
         """Whether a way has made a change of `lost`.
 
         Args:
             agrees: what the filter's gate said.
+            motion: the way.
             state: the filter's, at the way's end.
         """
         t_s, self._in_scale = state.t_s, self._in_scale or self.fixes > 0
         window_s = self._agree_s if self.lost else _WINDOW_S
         if self._seen and t_s - self._seen[-1].t_s > _GAP_S:
             self._begin_anew()
-        sigma_m_s = math.sqrt(float(np.max(np.diag(state.P)[States.VELOCITY_NE])))
-        self._seen.append(_Way(t_s, agrees, state.x[States.VELOCITY_NE], sigma_m_s))
+        if self.lost:
+            self._dates.see(motion, self._imu.until(motion.t1_s), state)
+        self._seen.append(_Way(t_s, agrees))
         self._begun_s = min(self._begun_s, t_s)
         self.believed_s = min(self.believed_s, t_s)
         while self._seen[0].t_s < t_s - window_s:
@@ -227,7 +227,8 @@ class OdometryGate:
             return False
         share = sum(way.agrees for way in self._seen) / len(self._seen)
         doubted = _DOUBTED if len(state.rejected_fixes) < _UNBORNE else _DOUBTED_UNBORNE
-        if self.lost and self.fixes and share >= _TRUSTED and self._proved() and self._along >= 0.0:
+        of_here = self.fixes > 0 and self._along >= 0.0
+        if self.lost and of_here and share >= _TRUSTED and self._dates.are_right(t_s - window_s):
             self.lost, self.believed_s, self.fixes = False, t_s, 0
         elif not self.lost and (share <= doubted or self._turned):
             can_be = not (self.lens_doubted or self._in_scale)
@@ -238,21 +239,12 @@ class OdometryGate:
             again = t_s - self._lost_s < _FORGIVEN_S
             self._agree_s = _LONGER * self._agree_s if again else _AGREE_S
             self.lost, self.borne, self.fixes = True, self.fixes >= _BEARING, 0
+            self._dates.forget()
         else:
             return False
         self._lost_s = t_s
         self._begin_anew()
         return True
-
-    def _proved(self) -> bool:
-        """Whether a wrong date would have made one in the window disagree."""
-        ways = list(self._seen)
-        befores = (bisect.bisect_left(ways, way.t_s - DATE_OFF_S, key=_TIME) for way in ways)
-        changes = [
-            math.dist(way.velocity_ne_m_s, ways[i].velocity_ne_m_s) / way.sigma_m_s
-            for i, way in zip(befores, ways, strict=True)
-        ]
-        return max(changes) > _TELLING_SIGMAS
 
     def _begin_anew(self) -> None:
         self._seen.clear()

@@ -43,6 +43,7 @@ from vwnav.estimation.events import (
 from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
 from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
 from vwnav.estimation.inertial.attitudes import LONGEST_GAP_S, is_rotation
+from vwnav.estimation.inertial.dates import of_doubtful_date
 from vwnav.estimation.inertial.drag import apply_drag
 from vwnav.estimation.inertial.imu import is_felt
 from vwnav.estimation.odometry import (
@@ -153,6 +154,12 @@ class Timeline:
         self._apply_again(0)
         self.oldest, self.newest = self._states[0], self._states[-1]
         return out
+
+    def leave_out_ways(self) -> None:
+        """As if no way had come in the history, and each fix of a doubtful date."""
+        for event in self.leave_out(Displacement, NedFix):
+            if isinstance(event, NedFix):
+                self.insert(of_doubtful_date(event, self.newest, self._context.attitudes))
 
     def followed_since(self, t_s: float) -> bool:
         """Whether images told ways from then on, in the history, and all were believed."""

@@ -1,0 +1,129 @@
+"""Images that may be of another moment than they say: what they tell then, and what shows it.
+
+In a steady flight nothing does: their ways agree with the IMU, and their fixes lie behind by what
+is flown meanwhile. It shows when the aircraft changes its acceleration.
+"""
+
+import bisect
+import math
+from collections import deque
+from dataclasses import replace
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from vwnav.estimation.events import NedFix
+from vwnav.estimation.inertial.attitudes import AttitudeHistory
+from vwnav.estimation.inertial.integrals import ImuIntegrals
+from vwnav.estimation.inertial.preintegration import preintegrated
+from vwnav.estimation.states import FilterState, States
+from vwnav.types import Array, OdometryMotion
+
+DATE_OFF_S = 0.5  # by which images may be dated wrongly
+_LEANS_AT_S = np.linspace(-2.0 * DATE_OFF_S, 0.0, 11)  # as attitudes may be, too, from a fix
+_LEAN_DOUBT_RAD = 0.02  # besides
+_ALIKE_S = 1.0  # for so long neighbours are off alike
+_SHORTEST_S = 0.1  # from fix to fix
+_TELLING_SIGMAS = 3.0  # by which a velocity changes
+_SPAN_S = 0.5  # over which a velocity is seen; of half of it before are images that are wrong
+_NEAR_S = 0.06  # of such a moment
+_LEAST_SIGMA_M_S = 0.2  # of a change of velocity
+_MOST_SAID, _SURE = 3.0, 7.0  # log-likelihood ratio: by one change; of them all, once in a thousand
+_TIME = attrgetter("t_s")
+
+
+def of_doubtful_date(fix: NedFix, state: FilterState, attitudes: AttitudeHistory) -> NedFix:
+    """Of an image whose ways contradict the IMU: it may be from another moment than it says.
+
+    The aircraft was elsewhere then, and leaned otherwise, as it did in the second before: as it
+    does for a second or so, so that neighbours are off alike. Of samples of a first-order
+    Gauss-Markov error, whose correlation from one to the next is r, each after the first adds
+    (1 - r) / (1 + r) of what that one told (the least-squares mean of an autoregression).
+    """
+    flown_m = DATE_OFF_S * state.x[States.VELOCITY_NE]
+    leans = np.array([attitudes.exposure(fix.t_s + each_s).lean for each_s in _LEANS_AT_S])
+    leant_rad = _LEAN_DOUBT_RAD + float(np.max(np.hypot(*(leans - leans[-1]).T)))
+    leant_m = leant_rad * max(state.agl_m, 0.0)
+    doubt_m2 = np.outer(flown_m, flown_m) + leant_m**2 * np.eye(2)
+    since_s = math.inf if state.t_last_fix_s is None else abs(fix.t_s - state.t_last_fix_s)
+    r = math.exp(-max(since_s, _SHORTEST_S) / _ALIKE_S)
+    doubt_m2 *= (1.0 + r) / (1.0 - r)
+    return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)
+
+
+class _Dated(NamedTuple):
+    t_s: float
+    motion: OdometryMotion
+    felt: ImuIntegrals | None
+    velocity_ne_m_s: Array
+
+
+class DateCheck:
+    """Whether images are of the moments that they say, of ways that agree with the IMU.
+
+    Ways of another moment would not have, when the velocity had changed by more than its sigmas
+    meanwhile. And where it is not known so well, changes of it tell. With u the change from one
+    half second to the next that images show, S its covariance, and v(t) the one that the IMU felt
+    then: the log-likelihood ratios of N(u; v(t), S) to N(u; v(t - 0.25 s), S), images of another
+    moment, and to N(u; 0, S), images of no ground. Summed from where they were least (Page's test,
+    1954): they may be right only since then.
+    """
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Nothing is known of them."""
+        self._ways: deque[_Dated] = deque()
+        self._changed_s = self._said_s = -math.inf
+        self._sums = np.zeros(2)
+
+    def are_right(self, since_s: float) -> bool:
+        """Whether they surely are, when all ways since then have agreed."""
+        return self._changed_s >= since_s or bool(np.min(self._sums) >= _SURE)
+
+    def see(self, motion: OdometryMotion, felt: ImuIntegrals | None, state: FilterState) -> None:
+        """Take a way, all that the IMU had felt at its end, and the filter's state then."""
+        way = _Dated(motion.t1_s, motion, felt, state.x[States.VELOCITY_NE])
+        self._ways.append(way)
+        while self._ways[0].t_s < way.t_s - 3.0 * _SPAN_S:
+            self._ways.popleft()
+        sigma_m_s = math.sqrt(float(np.max(np.diag(state.P)[States.VELOCITY_NE])))
+        before = self._ways[bisect.bisect_left(self._ways, way.t_s - DATE_OFF_S, key=_TIME)]
+        if math.dist(way.velocity_ne_m_s, before.velocity_ne_m_s) > _TELLING_SIGMAS * sigma_m_s:
+            self._changed_s = way.t_s
+        # Neighbours share their errors.
+        if way.t_s >= self._said_s + _SPAN_S and (change := self._change_m_s()) is not None:
+            self._said_s = way.t_s
+            self._sums = np.clip(self._sums + _says(motion, *change), 0.0, 2.0 * _SURE)
+
+    def _change_m_s(self) -> tuple[Array, Array, Array] | None:
+        """(2,) NE as images show it over the last second; as it was felt then, and before."""
+        found = [self._near(self._ways[-1].t_s - 0.5 * n * _SPAN_S) for n in range(5)]
+        ways = [each for each in found if each is not None]
+        if len(ways) < len(found) or ways[4].motion.t0_s != ways[0].motion.t0_s:
+            return None
+        now, before = (preintegrated(ways[i + 2].felt, ways[i].felt) for i in (1, 2))
+        late, early = (_velocity_m_s(ways[i + 2], ways[i]) for i in (0, 2))
+        if now is None or before is None:
+            return None
+        return late - early, now.velocity_m_s[:2], before.velocity_m_s[:2]
+
+    def _near(self, t_s: float) -> _Dated | None:
+        i = bisect.bisect_left(self._ways, t_s - _NEAR_S, key=_TIME)
+        return self._ways[i] if self._ways[i].t_s < t_s + _NEAR_S else None
+
+
+def _says(motion: OdometryMotion, shown: Array, now: Array, before: Array) -> Array:
+    """(2,) log-likelihood ratios."""
+    sigma_m = math.sqrt(float(np.max(np.diag(motion.covariance_ned_m2)[:2])))
+    sigma_m_s = max(sigma_m / _SPAN_S, _LEAST_SIGMA_M_S)
+    off, *others = (math.dist(shown, each) / sigma_m_s for each in (now, before, np.zeros(2)))
+    return np.clip(0.5 * (np.square(others) - off**2), -_MOST_SAID, _MOST_SAID)
+
+
+def _velocity_m_s(zero: _Dated, one: _Dated) -> Array:
+    """(2,) north and east, between two images of one keyframe."""
+    way_m = one.motion.displacement_ned_m[:2] - zero.motion.displacement_ned_m[:2]
+    return np.asarray(way_m / (one.t_s - zero.t_s))
