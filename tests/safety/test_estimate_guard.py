@@ -94,6 +94,26 @@ def test_one_that_jumps_on_and_on_is_lost_though_it_says_so():
     assert len({e.reset_counter for e in feed(flying(), DT_S, 9.0, restless)}) <= 2
 
 
+@pytest.mark.parametrize(
+    ("north_m", "sigma_m", "back_s"), [(4.0, 1.5, 1.5), (4.0, 3.0, None), (9.0, 1.5, None)]
+)
+def test_one_that_settles_within_what_it_had_said_is_back_without_a_fix(north_m, sigma_m, back_s):
+    """Two jumps of 4 m in 0.7 s, of 4 m known to 3: no fix came, and it came down blind, 73 m."""
+
+    def make(t_s: float) -> Estimate:
+        jumps = int(t_s >= 1.0) + int(t_s >= 1.7)
+        sigmas = covariance(sigma_m if jumps == 2 else 3.0 if jumps else 4.5, 0.2)
+        told_m = 5.0 + north_m if jumps == 2 else 5.0 * jumps
+        return at(t_s, told_m, reset_counter=jumps, covariance=sigmas)
+
+    guard = flying()
+    looks = (guard.admit(make(DT_S * i), DT_S * i, seen_s=DT_S * i) for i in range(1, 300))
+    sent = [e for e in looks if e is not None]
+    late = [e.t_s for e in sent if e.t_s > 1.7]
+    assert (late[0] - 1.7 if late else None) == (back_s and pytest.approx(back_s, abs=0.1))
+    assert len({e.reset_counter for e in sent}) == (3 if late else 2)
+
+
 def test_small_corrections_pass_but_many_of_them_in_a_second_do_not():
     assert len(feed(flying(), DT_S, 1.0, lambda t: at(t, 2.0 * (t > 0.5)))) == 49
     guard = flying()

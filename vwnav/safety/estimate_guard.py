@@ -19,6 +19,7 @@ from vwnav.safety.safety_config import EstimateLimits
 from vwnav.types import Estimate
 
 _VELOCITY_LOST = "the estimate's velocity is lost"
+_WITHIN_SIGMAS, _SURER = 2.0, 0.7  # of a jump to where it settles
 _RESTLESS = "the estimate jumps again and again"
 
 
@@ -76,8 +77,8 @@ class EstimateGuard:
                 return self._sent(self._with_proof(estimate, t_s))
             self.lose(broken, t_s)
             self._may_resume = gap_s > self._limits.max_gap_s or broken == _VELOCITY_LOST
-            is_found = self._unproven is not None and broken == _RESTLESS  # by a first fix
-            self._only_missed = self._may_resume or is_found
+            is_found = self._unproven is not None or self._settles(estimate)  # by a fix
+            self._only_missed = self._may_resume or (is_found and broken == _RESTLESS)
             self._had_no_velocity = broken == _VELOCITY_LOST
         return self._try(estimate, fault, t_s, seen_s)
 
@@ -177,6 +178,14 @@ class EstimateGuard:
             t_s, counter = estimate.t_s, estimate.reset_counter
             self._unproven = Trial(t_s, counter, self._new_track(), False, fixes_from_s=t_s)
         return unsure
+
+    def _settles(self, estimate: Estimate) -> bool:
+        """Whether it stays within what the one before had said, and its place is much surer."""
+        if (before := self._last) is None:
+            return False
+        moved_m = math.dist(_north_east(estimate), _north_east(before))
+        within_m = _WITHIN_SIGMAS * sigma(before, 0)
+        return moved_m <= within_m and sigma(estimate, 0) <= _SURER * sigma(before, 0)
 
     def _velocity_jumped(self, estimate: Estimate, before: Estimate) -> bool:
         step_m_s = estimate.velocity_ned_m_s[:2] - before.velocity_ned_m_s[:2]
