@@ -93,7 +93,9 @@ def test_doubtful_fixes_tell_as_much_as_an_error_they_share_leaves(spacing_s):
     assert told == pytest.approx(expected, rel=1e-3)
 
 
-def checked(seed: int, late_s: float, gain: float, seconds: float = 60.0) -> list[bool]:
+def checked(
+    seed: int, late_s: float, gain: float, seconds: float = 60.0, refused_every: int = 10_000
+) -> list[bool]:
     """Whether images, that late and of a ground that moves by `gain`, are right: ten a second."""
     rng = np.random.default_rng(seed)
     # North and east: a velocity of some metres a second that swings within seconds.
@@ -118,6 +120,8 @@ def checked(seed: int, late_s: float, gain: float, seconds: float = 60.0) -> lis
         integrals[:2, 3] = velocity_m_s(t_s) + 0.05 * t_s  # an accelerometer's bias
         felt = ImuIntegrals(0, t_s, integrals, np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(2))
         check.see(motion, felt, state)
+        if n % refused_every == refused_every - 1:
+            check.refused()
         told.append(check.are_right(t_s))
     return told
 
@@ -132,6 +136,13 @@ def test_an_aircraft_that_changes_its_speed_shows_of_which_moment_images_are(see
 @settings(max_examples=30, deadline=None)
 def test_images_of_another_moment_or_of_no_ground_never_are_right(seed, late_and_gain):
     assert not any(checked(seed, *late_and_gain))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=10, deadline=None)
+def test_nor_are_images_whose_ways_are_refused_now_and_then(seed):
+    """Of a focus that hunts they agreed for some seconds: believed, and lost again, and landed."""
+    assert not any(checked(seed, 0.0, 1.0, refused_every=10))
 
 
 def test_without_an_imu_or_in_a_steady_flight_nothing_is_known_of_them():

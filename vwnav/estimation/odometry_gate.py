@@ -217,6 +217,8 @@ class OdometryGate:
             self._begin_anew()
         if self.lost:
             self._dates.see(motion, self._imu.until(motion.t1_s), state)
+            if not agrees:
+                self._dates.refused()
         self._seen.append(_Way(t_s, agrees))
         self._begun_s = min(self._begun_s, t_s)
         self.believed_s = min(self.believed_s, t_s)

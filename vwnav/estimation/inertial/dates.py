@@ -30,6 +30,7 @@ _SPAN_S = 0.5  # over which a velocity is seen; of half of it before are images 
 _NEAR_S = 0.06  # of such a moment
 _LEAST_SIGMA_M_S = 0.2  # of a change of velocity
 _MOST_SAID, _SURE = 3.0, 7.0  # log-likelihood ratio: by one change; of them all, once in a thousand
+_REFUSED = 5.7  # ... 0.3, of wrong ones, to 0.001
 _TIME = attrgetter("t_s")
 
 
@@ -82,6 +83,10 @@ class DateCheck:
     def are_right(self, since_s: float) -> bool:
         """Whether they surely are, when all ways since then have agreed."""
         return self._changed_s >= since_s or bool(np.min(self._sums) >= _SURE)
+
+    def refused(self) -> None:
+        """The filter's gate has refused a way: of right ones it does so with one in a thousand."""
+        self._sums = np.maximum(self._sums - _REFUSED, 0.0)
 
     def see(self, motion: OdometryMotion, felt: ImuIntegrals | None, state: FilterState) -> None:
         """Take a way, all that the IMU had felt at its end, and the filter's state then."""
