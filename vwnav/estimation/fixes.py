@@ -42,7 +42,7 @@ from vwnav.geometry.rotations import wrap_pi
 _CLONE_SIGMAS = np.array([0.01, 0.01, 1e-4, 1e-4, 1e-4, 0.01])
 _UNSEEN_RAD = 0.1  # by which an image may lean otherwise than an attitude that is held
 _SMALLEST_SIGMA_M = 0.03
-_HOVERS_M_S, _OF_SCALE = 1.0, 0.1  # seen on and on, one place is out of scale, by less than that
+_HOVERS_M_S, _OF_SCALE = 1.0, 0.15  # seen on and on, one place is out of scale, by less
 _MOST_SCALE = 4.0  # sigmas that a map is out of scale at most
 _SHARED = [States.CAMERA_TURN, States.MAP_TURN]
 _SHOWN = np.array([1.0, 1.0, -1.0])  # what a fix shows of the compass' error and of those
@@ -327,9 +327,10 @@ def apply_agl(
     drawn = heard and abs(float(fused.x[States.MAP_SCALE])) > most  # of a warped map, more
     if innovation.verdict is Verdict.FUSED and not drawn:
         return fused._replace(rejected_agls=()), innovation
-    hovers = float(np.linalg.norm(state.x[States.VELOCITY])) < _HOVERS_M_S
-    if heard and hovers and abs(float(measurement.residual[0])) < _OF_SCALE * state.agl_m:
-        return state, replace(innovation, verdict=Verdict.GATED)  # one place, seen on and on
+    north_m_s, east_m_s, down_m_s = state.x[States.VELOCITY].tolist()
+    stays = math.hypot(north_m_s, east_m_s) < _HOVERS_M_S and down_m_s > -_HOVERS_M_S
+    if heard and stays and abs(float(measurement.residual[0])) < _OF_SCALE * state.agl_m:
+        return state, replace(innovation, verdict=Verdict.GATED)  # one place, or sinking to it
     if drawn:  # inside its gate a height gives way each time, and the map's scale takes it
         unscaled = state.x * (np.arange(States.SIZE) != States.MAP_SCALE)
         state = freed(state._replace(x=unscaled), States.MAP_SCALE, config.map_scale)
