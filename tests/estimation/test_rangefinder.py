@@ -51,9 +51,10 @@ class Flight:
                 )
                 self.ekf.handle(seen)
             if n % 20 == 0 and self.seen:
+                seen_m = self.map_times * above_m
                 fix = NedFix(
                     t_s=t_s, position_ne_m=place[:2], covariance_ne_m2=0.5**2 * np.eye(2),
-                    yaw_rad=0.0, sigma_yaw_rad=0.01, agl_m=self.map_times * above_m, sigma_agl_m=0.5,
+                    yaw_rad=0.0, sigma_yaw_rad=0.01, agl_m=seen_m, sigma_agl_m=0.5,
                 )  # fmt: skip
                 self.ekf.handle(fix)
             self.ekf.estimate(t_s)

@@ -265,7 +265,7 @@ class Ekf:
             if doubtful and self._imu_gate.refused_ways(self._refused_ways, motion.t1_s):
                 self._imu_changed()
                 gate.forgive()
-            elif gate.learn(agrees, motion, self._timeline.newest):
+            elif gate.learn(innovation, motion, self._timeline.newest):
                 if gate.lost or gate.lens_doubted:
                     self._take_ways_back()
                 self._say(gate.words)

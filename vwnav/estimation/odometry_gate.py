@@ -38,6 +38,7 @@ _LEAST = 6  # ways in it
 _GAP_S = 0.5  # after which it is the filter that may be wrong
 _DOUBTED, _TRUSTED = 0.5, 0.9  # share that agrees: at most, and at least
 _DOUBTED_UNBORNE, _UNBORNE = 0.8, 3  # of ways that no map fix bears: so many were refused in a row
+_NEAR_NIS = 11.345  # 99 % of three degrees of freedom: what many of are beyond is none of theirs
 _AGREE_S = 2.4  # for so long they have to agree to be believed again ...
 _BEARING = 3  # map fixes that bear what ways have told
 _LONGER = 8.0  # times as long when they were lost again ...
@@ -203,21 +204,22 @@ class OdometryGate:
             return _LENS_DOUBTED
         return _CONTRADICTS if self.lost else _AGREES
 
-    def learn(self, agrees: bool, motion: OdometryMotion, state: FilterState) -> bool:
+    def learn(self, told: Innovation, motion: OdometryMotion, state: FilterState) -> bool:
         """Whether a way has made a change of `lost`.
 
         Args:
-            agrees: what the filter's gate said.
+            told: what the filter said of it.
             motion: the way.
             state: the filter's, at the way's end.
         """
         t_s, self._in_scale = state.t_s, self._in_scale or self.fixes > 0
+        agrees = told.nis is not None and told.nis <= _NEAR_NIS
         window_s = self._agree_s if self.lost else _WINDOW_S
         if self._seen and t_s - self._seen[-1].t_s > _GAP_S:
             self._begin_anew()
         if self.lost:
             self._dates.see(motion, self._imu.until(motion.t1_s), state)
-            if not agrees:
+            if told.verdict is Verdict.GATED:
                 self._dates.refused()
         self._seen.append(_Way(t_s, agrees))
         self._begun_s = min(self._begun_s, t_s)
