@@ -55,7 +55,7 @@ def of_doubtful_date(fix: NedFix, state: FilterState, attitudes: AttitudeHistory
 
 class _Dated(NamedTuple):
     t_s: float
-    motion: OdometryMotion
+    place_ne_m: Array  # by the ways alone
     felt: ImuIntegrals | None
     velocity_ne_m_s: Array
 
@@ -77,6 +77,7 @@ class DateCheck:
     def forget(self) -> None:
         """Nothing is known of them."""
         self._ways: deque[_Dated] = deque()
+        self._keyframe_s, self._keyframe_ne_m = -math.inf, np.zeros(2)
         self._changed_s = self._said_s = -math.inf
         self._sums = np.zeros(2)
 
@@ -90,7 +91,13 @@ class DateCheck:
 
     def see(self, motion: OdometryMotion, felt: ImuIntegrals | None, state: FilterState) -> None:
         """Take a way, all that the IMU had felt at its end, and the filter's state then."""
-        way = _Dated(motion.t1_s, motion, felt, state.x[States.VELOCITY_NE])
+        if motion.t0_s != self._keyframe_s:
+            begun = [each.place_ne_m for each in self._ways if each.t_s == motion.t0_s]
+            if not begun:
+                self._ways.clear()
+            self._keyframe_s, self._keyframe_ne_m = motion.t0_s, begun[0] if begun else np.zeros(2)
+        place_ne_m = self._keyframe_ne_m + motion.displacement_ned_m[:2]
+        way = _Dated(motion.t1_s, place_ne_m, felt, state.x[States.VELOCITY_NE])
         self._ways.append(way)
         while self._ways[0].t_s < way.t_s - 3.0 * _SPAN_S:
             self._ways.popleft()
@@ -107,7 +114,7 @@ class DateCheck:
         """(2,) NE as images show it over the last second; as it was felt then, and before."""
         found = [self._near(self._ways[-1].t_s - 0.5 * n * _SPAN_S) for n in range(5)]
         ways = [each for each in found if each is not None]
-        if len(ways) < len(found) or ways[4].motion.t0_s != ways[0].motion.t0_s:
+        if len(ways) < len(found):
             return None
         now, before = (preintegrated(ways[i + 2].felt, ways[i].felt) for i in (1, 2))
         late, early = (_velocity_m_s(ways[i + 2], ways[i]) for i in (0, 2))
@@ -129,6 +136,5 @@ def _says(motion: OdometryMotion, shown: Array, now: Array, before: Array) -> Ar
 
 
 def _velocity_m_s(zero: _Dated, one: _Dated) -> Array:
-    """(2,) north and east, between two images of one keyframe."""
-    way_m = one.motion.displacement_ned_m[:2] - zero.motion.displacement_ned_m[:2]
-    return np.asarray(way_m / (one.t_s - zero.t_s))
+    """(2,) north and east, between two images."""
+    return np.asarray((one.place_ne_m - zero.place_ne_m) / (one.t_s - zero.t_s))
