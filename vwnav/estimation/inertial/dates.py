@@ -8,6 +8,7 @@ import bisect
 import math
 from collections import deque
 from dataclasses import replace
+from itertools import pairwise
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -26,8 +27,9 @@ _LEAN_DOUBT_RAD = 0.02  # besides
 _ALIKE_S = 1.0  # for so long neighbours are off alike
 _SHORTEST_S = 0.1  # from fix to fix
 _TELLING_SIGMAS = 3.0  # by which a velocity changes
-_SPAN_S = 0.5  # over which a velocity is seen; of half of it before are images that are wrong
-_NEAR_S = 0.06  # of such a moment
+_SPAN_S = 0.6  # over which a velocity is seen; some half of it before are images that are wrong
+_JITTER_S = 0.05  # of the moments of images
+_LEAST_APART_S, _EVEN = 0.1, 1.5  # of five in that second
 _LEAST_SIGMA_M_S = 0.2  # of a change of velocity
 _MOST_SAID, _SURE = 3.0, 7.0  # log-likelihood ratio: by one change; of them all, once in a thousand
 _REFUSED = 5.7  # ... 0.3, of wrong ones, to 0.001
@@ -65,8 +67,8 @@ class DateCheck:
 
     Ways of another moment would not have, when the velocity had changed by more than its sigmas
     meanwhile. And where it is not known so well, changes of it tell. With u the change from one
-    half second to the next that images show, S its covariance, and v(t) the one that the IMU felt
-    then: the log-likelihood ratios of N(u; v(t), S) to N(u; v(t - 0.25 s), S), images of another
+    0.6 s to the next that images show, S its covariance, and v(t) the one that the IMU felt
+    then: the log-likelihood ratios of N(u; v(t), S) to N(u; v(t - 0.3 s), S), images of another
     moment, and to N(u; 0, S), images of no ground. Summed from where they were least (Page's test,
     1954): they may be right only since then.
     """
@@ -112,19 +114,20 @@ class DateCheck:
 
     def _change_m_s(self) -> tuple[Array, Array, Array] | None:
         """(2,) NE as images show it over the last second; as it was felt then, and before."""
-        found = [self._near(self._ways[-1].t_s - 0.5 * n * _SPAN_S) for n in range(5)]
-        ways = [each for each in found if each is not None]
-        if len(ways) < len(found):
+        times_s = [each.t_s for each in self._ways]
+        count = len(times_s) - bisect.bisect_left(times_s, times_s[-1] - 2.0 * _SPAN_S - _JITTER_S)
+        every = (count - 1) // 4
+        if every < 1:
+            return None
+        ways = [self._ways[-1 - n * every] for n in range(5)]
+        apart_s = [later.t_s - before.t_s for later, before in pairwise(ways)]
+        if not _LEAST_APART_S < min(apart_s) <= max(apart_s) < _EVEN * min(apart_s):
             return None
         now, before = (preintegrated(ways[i + 2].felt, ways[i].felt) for i in (1, 2))
         late, early = (_velocity_m_s(ways[i + 2], ways[i]) for i in (0, 2))
         if now is None or before is None:
             return None
         return late - early, now.velocity_m_s[:2], before.velocity_m_s[:2]
-
-    def _near(self, t_s: float) -> _Dated | None:
-        i = bisect.bisect_left(self._ways, t_s - _NEAR_S, key=_TIME)
-        return self._ways[i] if self._ways[i].t_s < t_s + _NEAR_S else None
 
 
 def _says(motion: OdometryMotion, shown: Array, now: Array, before: Array) -> Array:
