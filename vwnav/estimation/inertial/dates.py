@@ -22,7 +22,7 @@ from vwnav.estimation.states import FilterState, States
 from vwnav.types import Array, OdometryMotion
 
 DATE_OFF_S = 0.5  # by which images may be dated wrongly
-_LEANS_AT_S = np.linspace(-2.0 * DATE_OFF_S, 0.0, 11)  # as attitudes may be, too, from a fix
+_LEANS_AT_S = np.linspace(-2.0 * DATE_OFF_S, 0.0, 11)  # from a fix; attitudes may be late, too
 _LEAN_DOUBT_RAD = 0.02  # besides
 _ALIKE_S = 1.0  # for so long neighbours are off alike
 _SHORTEST_S = 0.1  # from fix to fix
@@ -32,7 +32,7 @@ _JITTER_S = 0.05  # of the moments of images
 _LEAST_APART_S, _EVEN = 0.1, 1.5  # of five in that second
 _LEAST_SIGMA_M_S = 0.2  # of a change of velocity
 _MOST_SAID, _SURE = 3.0, 7.0  # log-likelihood ratio: by one change; of them all, once in a thousand
-_REFUSED = 5.7  # ... 0.3, of wrong ones, to 0.001
+_REFUSED = 5.7  # ln(0.3 / 0.001), the shares of wrong ways and of right ones that are
 _TIME = attrgetter("t_s")
 
 
