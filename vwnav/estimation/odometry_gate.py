@@ -38,7 +38,8 @@ _LEAST = 6  # ways in it
 _GAP_S = 0.5  # after which it is the filter that may be wrong
 _DOUBTED, _TRUSTED = 0.5, 0.9  # share that agrees: at most, and at least
 _DOUBTED_UNBORNE, _UNBORNE = 0.8, 3  # of ways that no map fix bears: so many were refused in a row
-_NEAR_NIS = 11.345  # 99 % of right ones are nearer (three degrees of freedom)
+_DOUBTED_HARDLY = 0.75  # where most are further off ...
+_NEAR_NIS = 11.345  # ... than 99 % of right ones are (three degrees of freedom)
 _AGREE_S = 2.4  # for so long they have to agree to be believed again ...
 _BEARING = 3  # map fixes that bear what ways have told
 _LONGER = 8.0  # times as long when they were lost again ...
@@ -64,6 +65,7 @@ _AGREES = "the pictures' ways agree with the IMU again"
 class _Way(NamedTuple):
     t_s: float
     agrees: bool
+    is_near: bool
 
 
 class _History(Protocol):
@@ -213,7 +215,7 @@ class OdometryGate:
             state: the filter's, at the way's end.
         """
         t_s, self._in_scale = state.t_s, self._in_scale or self.fixes > 0
-        agrees = told.nis is not None and told.nis <= _NEAR_NIS
+        agrees = told.verdict is Verdict.FUSED
         window_s = self._agree_s if self.lost else _WINDOW_S
         if self._seen and t_s - self._seen[-1].t_s > _GAP_S:
             self._begin_anew()
@@ -221,7 +223,7 @@ class OdometryGate:
             self._dates.see(motion, self._imu.until(motion.t1_s), state)
             if told.verdict is Verdict.GATED:
                 self._dates.refused()
-        self._seen.append(_Way(t_s, agrees))
+        self._seen.append(_Way(t_s, agrees, agrees and (told.nis or 0.0) <= _NEAR_NIS))
         self._begun_s = min(self._begun_s, t_s)
         self.believed_s = min(self.believed_s, t_s)
         while self._seen[0].t_s < t_s - window_s:
@@ -229,10 +231,12 @@ class OdometryGate:
         few = len(self._seen) < _LEAST or t_s - self._begun_s < window_s
         if few and (self.lost or not self._turned):
             return False
-        share = sum(way.agrees for way in self._seen) / len(self._seen)
+        share, near = np.mean([way[1:] for way in self._seen], axis=0).tolist()
         doubted = _DOUBTED if len(state.rejected_fixes) < _UNBORNE else _DOUBTED_UNBORNE
-        of_here = self.fixes > 0 and self._along >= 0.0
-        if self.lost and of_here and share >= _TRUSTED and self._dates.are_right(t_s - window_s):
+        if near <= _DOUBTED:  # those that agree do hardly
+            doubted = max(doubted, _DOUBTED_HARDLY)
+        proven = self.fixes > 0 and self._along >= 0.0 and self._dates.are_right(t_s - window_s)
+        if self.lost and proven and share >= _TRUSTED:
             self.lost, self.believed_s, self.fixes = False, t_s, 0
         elif not self.lost and (share <= doubted or self._turned):
             can_be = not (self.lens_doubted or self._in_scale)
