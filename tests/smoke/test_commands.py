@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -139,7 +140,7 @@ def test_doctor_and_map_info_speak_json(vwnav, place):
     assert {each["name"] for each in info["features"]} == {"learned", "sift"}
 
 
-def test_doctor_says_whether_anybody_measured_lens_and_mount(vwnav, place, tmp_path):
+def test_doctor_says_whether_anybody_measured_lens_mount_and_read_out(vwnav, place, tmp_path):
     def detail_of(camera):
         checks = json.loads(vwnav("doctor", "--camera", camera, "--json").out)["checks"]
         return next(check["detail"] for check in checks if check["name"] == "calibration")
@@ -150,8 +151,9 @@ def test_doctor_says_whether_anybody_measured_lens_and_mount(vwnav, place, tmp_p
     assert "vwnav calibrate mount" in detail_of(bare)
     assert "focal length to 1.5 %" in detail_of(bare)
     assert "vwnav calibrate camera" in detail_of(bare)
+    assert "read-out not known" in detail_of(bare)
     found = {"sigma_mount_rpy_deg": [0.1, 0.3, 2.0], "sigma_fx_px": 1.0}
-    save_camera(load_camera(bare), tmp_path / "mounted.json", found)
+    save_camera(replace(load_camera(bare), readout_s=0.0), tmp_path / "mounted.json", found)
     measured = detail_of(tmp_path / "mounted.json")
     assert "0.3 degrees, 0.3 m" in measured
     assert "calibrate" not in measured

@@ -195,6 +195,9 @@ def _calibration(path: Path) -> Check:
     detail += f"; focal length to {100.0 * camera.sigma_focal_ratio:.1f} %"
     if not {"sigma_fx_px", "sigma_focal_ratio"} & set(found):
         detail += ": nobody measured it (vwnav calibrate camera)"
+    if camera.readout_s is None:
+        detail += "; read-out not known: the ground seems to slope by what a rolling shutter"
+        detail += " does to a picture of a hard turn or brake (vwnav calibrate mount)"
     return Check("calibration", "PASS" if plausible else "WARN", detail)
 
 
