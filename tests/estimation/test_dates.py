@@ -133,7 +133,7 @@ def checked(
 
 
 @given(st.integers(0, 10_000), st.sampled_from([0.4, 3.0]), st.sampled_from([0.2, 0.1, 1 / 30]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_an_aircraft_that_changes_its_speed_shows_of_which_moment_images_are(
     seed, keyframes_s, image_s
 ):
@@ -141,13 +141,13 @@ def test_an_aircraft_that_changes_its_speed_shows_of_which_moment_images_are(
 
 
 @given(st.integers(0, 10_000), st.sampled_from([(0.5, 1.0), (0.3, 1.0), (0.0, 0.0)]))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_images_of_another_moment_or_of_no_ground_never_are_right(seed, late_and_gain):
     assert not any(checked(seed, *late_and_gain))
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_nor_are_images_whose_ways_are_refused_now_and_then(seed):
     """Of a focus that hunts they agreed for some seconds: believed, and lost again, and landed."""
     assert not any(checked(seed, 0.0, 1.0, refused_every=10))
