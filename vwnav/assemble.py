@@ -135,7 +135,7 @@ def assemble(
     ekf.on_event(say)
     pipeline = Pipeline(
         *of_camera(camera), ekf, local_frame, config.localizer.sigma_tilt_rad, config.pipeline,
-        executor, bool(camera.readout_s), None if alone else recalibrated,
+        executor, None if alone else recalibrated,
     )  # fmt: skip
     return Assembled(pipeline, ekf, pack, primary)
 

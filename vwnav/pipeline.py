@@ -28,7 +28,6 @@ from vwnav.estimation.inertial.attitudes import yaw_of
 from vwnav.estimation.odometry_gate import CAMERA_GONE_S, MountCheck
 from vwnav.estimation.states import States, Verdict
 from vwnav.geometry.camera import to_gray
-from vwnav.geometry.exposure import with_motion
 from vwnav.geometry.geodesy import LocalFrame
 from vwnav.geometry.rotations import euler_from_rotation, rotation_from_quat
 from vwnav.seams import Attempt, FeatureChoice, Localizing, PipelineConfig, StepResult, Tracking
@@ -73,7 +72,6 @@ class Pipeline:
         sigma_tilt_rad: float,
         config: PipelineConfig,
         executor: Executor,
-        rolling: bool = False,
         recalibrated: Callable[[FoundCamera], tuple[FeatureChoice, Tracking]] | None = None,
     ) -> None:
         """Put the parts together.
@@ -86,13 +84,12 @@ class Pipeline:
             sigma_tilt_rad: attitude error that the localizer puts into a fix's covariance.
             config: rates and limits.
             executor: runs the matching: in a thread on board, inline in replay.
-            rolling: the camera's rows are exposed one after the other.
             recalibrated: makes features and odometry anew for a camera that is not as it was
                 told; None where no telemetry could tell of that.
         """
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
-        self._config, self._executor, self._rolling = config, executor, rolling
+        self._config, self._executor = config, executor
         self._lock, self.link_rests = threading.Lock(), threading.Event()
         self.link_rests.set()
         self._pending: Attempt | None = None
@@ -158,21 +155,26 @@ class Pipeline:
         self.link_rests.wait(_GIVES_WAY_S)
         with self._lock:
             attitude = None if self._ekf.counts_heading else self._ekf.attitudes.at(frame.t_s)
-            if self._rolling and attitude is not None:
-                now = self._ekf.estimate(frame.t_s)
-                image = with_motion(image, self._ekf.attitudes.at, now)
+            now = self._ekf.estimate(frame.t_s)
+            if attitude is not None and now is not None:
+                rates_rad_s = self._ekf.attitudes.rates_rad_s(frame.t_s)
+                velocity_m_s = rotation_from_quat(now.quat_wxyz).T @ now.velocity_ned_m_s
+                image = replace(image, rates_rad_s=rates_rad_s, velocity_body_m_s=velocity_m_s)
         R_ned_body = None if attitude is None else rotation_from_quat(attitude.quat_wxyz)
-        motion = self._track(image, attitude, R_ned_body)
+        motion = self._track(image, attitude, R_ned_body, now)
         outcome = self._collect(frame.t_s) or Rejected(frame.t_s, RejectReason.NOT_TRIED)
         if not (isinstance(motion, Rejected) and motion.reason is RejectReason.NO_FRAME):
             outcome = self._attempt_if_due(image, R_ned_body) or outcome
         return StepResult(frame.t_s, motion, outcome, self.estimate(frame.t_s))
 
     def _track(
-        self, frame: Frame, attitude: Attitude | None, R_ned_body: Array | None
+        self,
+        frame: Frame,
+        attitude: Attitude | None,
+        R_ned_body: Array | None,
+        now: Estimate | None,
     ) -> OdometryMotion | Rejected:
         """Motion since the keyframe. In a video alone the images' own turning is the gyro."""
-        now = self.estimate(frame.t_s)
         motion = self._odometry.step(frame, R_ned_body, now.agl_m if now else UNKNOWN_AGL_M)
         if self._lost:
             self._sequences.follow(motion, attitude or self._odometry.counted_attitude(frame.t_s))

@@ -5,14 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vwnav.geometry.rotations import skew
 from vwnav.vision.odometry.ground_motion import Motion, MotionPrior, Sightings, fit_motion
 
 LOOKS_DOWN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # upper edge north
 WAY = np.array([0.08, -0.03, 0.01])
 FOCAL_PX = 380.0
 PRIOR = MotionPrior(
-    tilt_increment_rad=0.003, slope_ne=np.zeros(2), slope=0.02, bend=0.03, pixel=0.55
-)
+    tilt_increment_rad=0.003, slope_ne=np.zeros(2), slope=0.02, bend=0.03, pixel=0.55,
+    readout_s=0.0, sigma_readout_s=0.015,
+)  # fmt: skip
+AT_ONCE = np.zeros((144, 3))
+BRAKING = replace(PRIOR, slope=0.1)
+CLIMB = np.array([0.0, 0.0, -0.1])
 
 
 def moved(noise_px: np.ndarray, heights=lambda x, y: 0.0, bend: float = 0.03) -> Motion:
@@ -27,9 +32,8 @@ def moved(noise_px: np.ndarray, heights=lambda x, y: 0.0, bend: float = 0.03) ->
     rays1 = ((1.0 - above)[:, None] * rays0 - WAY) @ LOOKS_DOWN
     rays1 = rays1 / rays1[:, 2:]
     rays1[:, :2] += noise_px.reshape(-1, 2) / FOCAL_PX
-    motion = fit_motion(
-        Sightings(rays0, rays1, LOOKS_DOWN, FOCAL_PX), replace(PRIOR, bend=bend), 3.0
-    )
+    seen = Sightings(rays0, rays1, LOOKS_DOWN, FOCAL_PX, AT_ONCE, AT_ONCE)
+    motion = fit_motion(seen, replace(PRIOR, bend=bend), 3.0)
     assert motion is not None
     return motion
 
@@ -84,3 +88,42 @@ def test_the_relief_of_woods_and_clearings_is_told_and_that_of_level_ground_is_n
     assert about is not None
     assert 0.3 * high < about < high
     assert moved(noise_px).relief == pytest.approx(0.0, abs=0.012)
+
+
+def climbed(readout_s: float, told: bool, prior: MotionPrior = BRAKING) -> Motion:
+    """Over level ground, the keyframe taken in a brake, pitching, the image at rest and higher."""
+    v, u = np.meshgrid(np.linspace(-0.6, 0.6, 12), np.linspace(-0.8, 0.8, 12), indexing="ij")
+    rays = np.dstack([u, v, np.ones_like(u)]).reshape(-1, 3)
+    pitching = skew(np.array([0.7, 0.0, 0.0]))  # about the image's right, rad/s
+    per_s = (rays[:, 1:2] / 1.2) * (rays @ pitching.T)  # the first row half a read-out earlier
+    rays1 = rays - CLIMB @ LOOKS_DOWN
+    rays1 = rays1 / rays1[:, 2:]
+    noise_px = 0.3 * np.random.default_rng(3).normal(size=(144, 2))
+    rays1[:, :2] += noise_px / FOCAL_PX
+    skew0 = per_s @ LOOKS_DOWN.T if told else AT_ONCE
+    seen0 = (rays - readout_s * per_s) @ LOOKS_DOWN.T
+    motion = fit_motion(Sightings(seen0, rays1, LOOKS_DOWN, FOCAL_PX, skew0, AT_ONCE), prior, 3.0)
+    assert motion is not None
+    return motion
+
+
+@pytest.mark.parametrize("readout_s", [0.0, 0.008, 0.02])
+def test_rows_that_were_read_in_a_brake_are_no_slope_that_a_climb_goes_aside_by(readout_s):
+    motion = climbed(readout_s, told=True)
+    sigmas = np.sqrt(np.diag(motion.covariance)[:3])
+    assert np.all(np.abs(motion.way - CLIMB) < 3.0 * sigmas)
+    assert np.abs(motion.slope).max() < 0.03
+    value_s, sigma_s = motion.readout_s
+    assert abs(value_s - readout_s) < 3.0 * sigma_s
+    assert sigma_s < 0.005
+
+
+def test_where_nobody_tells_how_it_turned_they_are_taken_for_one():
+    assert np.abs(climbed(0.02, told=False).slope).max() > 0.1
+
+
+def test_a_read_out_that_is_known_is_taken_off_and_stays_known():
+    known = replace(BRAKING, readout_s=0.02, sigma_readout_s=0.002)
+    motion = climbed(0.02, told=True, prior=known)
+    assert motion.way == pytest.approx(CLIMB, abs=0.001)
+    assert motion.readout_s == pytest.approx((0.02, 0.001), abs=0.001)

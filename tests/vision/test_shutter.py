@@ -7,9 +7,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from vwnav.geometry.camera import Camera
+from vwnav.geometry.homography import continuous_homography, skew_per_s
 from vwnav.geometry.rotations import rotation_from_euler, rotation_from_vector
 from vwnav.types import Frame
-from vwnav.vision.shutter import as_at_once, ray_flow, seen_by_rows
+from vwnav.vision.shutter import is_visible, seen_by_rows
 
 READOUT_S, HEIGHT_M = 0.02, 50.0
 STILL = Frame(0.0, np.zeros((480, 640), np.uint8), 0)
@@ -20,6 +21,10 @@ LENS = replace(
 rates = st.tuples(*[st.floats(-1.05, 1.05)] * 3)
 speeds = st.tuples(*[st.floats(-12.0, 12.0)] * 2, st.floats(-4.0, 4.0))
 tilts = st.tuples(*[st.floats(-0.3, 0.3)] * 2, st.floats(-3.0, 3.0))
+
+
+def mount_of(camera: Camera):
+    return camera.R_body_camera, camera.t_body_camera_m
 
 
 def seen_and_at_once(camera: Camera, rate, velocity, tilt):
@@ -39,7 +44,7 @@ def seen_and_at_once(camera: Camera, rate, velocity, tilt):
             seen[i] = camera.project(away @ (R_then @ camera.R_body_camera))[0]
     frame = replace(STILL, rates_rad_s=rate, velocity_body_m_s=velocity)
     down_camera = (R @ camera.R_body_camera)[2]
-    return seen, at_once, ray_flow(frame, camera, down_camera, HEIGHT_M)
+    return seen, at_once, continuous_homography(frame, mount_of(camera), down_camera, HEIGHT_M)
 
 
 def px_apart(camera: Camera, rays: np.ndarray, uv: np.ndarray) -> float:
@@ -56,16 +61,22 @@ def test_points_are_put_back_to_the_middle_rows_moment(rate, velocity, tilt):
     mount = rotation_from_euler(0.1, -0.05, 0.4) @ LENS.R_body_camera
     camera = replace(LENS, R_body_camera=mount, t_body_camera_m=arm_m)
     seen, at_once, flow = seen_and_at_once(camera, rate, velocity, tilt)
-    if flow is None:
-        assert px_apart(camera, camera.bearings(seen), at_once) < 0.3
-    else:
-        back = as_at_once(camera.bearings(seen), seen, camera, flow)
-        assert px_apart(camera, back, at_once) < 0.15
+    rays = camera.bearings(seen)
+    back = rays + READOUT_S * skew_per_s(rays, seen[:, 1], 480, flow)
+    assert px_apart(camera, back, at_once) < 0.15
+    if not is_visible(flow, camera):
+        assert px_apart(camera, rays, at_once) < 0.3
+
+
+def test_of_a_motion_that_nobody_told_nothing_is_put_back():
+    flow = continuous_homography(STILL, mount_of(LENS), np.array([0.0, 0.0, 1.0]), HEIGHT_M)
+    assert not flow.any()
+    assert not is_visible(flow, LENS)
 
 
 def test_an_image_is_put_back_too():
     """What is fetched from is where the rows saw it."""
     seen, at_once, flow = seen_and_at_once(LENS, (0.3, -0.5, 1.0), (12.0, 3.0, 1.0), (0.1, -0.1, 2))
-    assert flow is not None
+    assert is_visible(flow, LENS)
     fetched = seen_by_rows(LENS.bearings(at_once), LENS, flow)
     assert np.abs(fetched - seen).max() < 0.2

@@ -196,8 +196,8 @@ def _calibration(path: Path) -> Check:
     if not {"sigma_fx_px", "sigma_focal_ratio"} & set(found):
         detail += ": nobody measured it (vwnav calibrate camera)"
     if camera.readout_s is None:
-        detail += "; read-out not known: the ground seems to slope by what a rolling shutter"
-        detail += " does to a picture of a hard turn or brake (vwnav calibrate mount)"
+        detail += "; read-out not known: odometry learns it in flight, a look at the map in a turn"
+        detail += " is the worse for it (vwnav calibrate mount)"
     return Check("calibration", "PASS" if plausible else "WARN", detail)
 
 

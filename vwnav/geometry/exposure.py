@@ -1,35 +1,17 @@
-"""How the body moves while an image is exposed, and how long it may be for that."""
+"""How long an image may be exposed while the body moves."""
 
 from collections import deque
-from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
 from vwnav.geometry.rotations import rotation_from_quat, vector_from_rotation
-from vwnav.types import Attitude, Estimate, Frame
+from vwnav.types import Estimate
 
 MOST_BLUR_PX = 1.5  # an image that is blurred by more tells less
-_OVER_S = 0.01  # either way of the exposure, to see how the body turns
 _LEAST_AGL_M = 1.0
 _LEAST_BLUR_PX_S = 1.0
 _MOST_TURN_RAD_S = 2.0  # what turns an estimate faster is a correction of it
 _REMEMBERED_S = 2.0  # of how fast it was: an exposure comes a while after it is asked for
-
-
-def with_motion(
-    frame: Frame, attitude_at: Callable[[float], Attitude | None], now: Estimate | None
-) -> Frame:
-    """The frame with the body's motion, where attitudes around it and an estimate tell it."""
-    before, after = (attitude_at(frame.t_s + s) for s in (-_OVER_S, _OVER_S))
-    if before is None or after is None or now is None:
-        return frame
-    R0, R1 = rotation_from_quat(before.quat_wxyz), rotation_from_quat(after.quat_wxyz)
-    return replace(
-        frame,
-        rates_rad_s=vector_from_rotation(R0.T @ R1) / (2.0 * _OVER_S),
-        velocity_body_m_s=rotation_from_quat(now.quat_wxyz).T @ now.velocity_ned_m_s,
-    )
 
 
 def blur_px_s(focal_px: float, speed_m_s: float, agl_m: float, turn_rad_s: float = 0.0) -> float:

@@ -229,7 +229,7 @@ def linearised(
     None where the numbers make no fit.
     """
     unit, mapped = to_unit(uv0), transform_points(H_1_0, uv0)
-    points, at = transform_points(unit, uv0), transform_points(unit, at_uv)
+    points, at = np.split(transform_points(unit, np.vstack([uv0, at_uv])), [len(uv0)])
     error_px = (uv1 - mapped).ravel()
     if not homography:
         return Linearised(uv0, error_px, _similarity_design(points), _similarity_design(at))

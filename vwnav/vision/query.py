@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from vwnav.geometry.camera import Camera, Rectification, check_fits, rectification, to_gray
 from vwnav.geometry.geodesy import Window, horizontal_distance_m
-from vwnav.geometry.homography import jacobian_at, transform_points
+from vwnav.geometry.homography import continuous_homography, jacobian_at, transform_points
 from vwnav.geometry.rotations import rotation_from_euler
 from vwnav.maps.image import MapFeatures
 from vwnav.types import (
@@ -29,7 +29,7 @@ from vwnav.types import (
     RejectReason,
     WeakFix,
 )
-from vwnav.vision.shutter import ray_flow, seen_by_rows
+from vwnav.vision.shutter import is_visible, seen_by_rows
 
 MAX_VIEW_PX = 1400
 MOST_VIEWS = 64  # that are kept: a search makes all headings of a height, then those of the next
@@ -104,8 +104,8 @@ class Query:
         seed: of every random choice.
         features: name of the feature set.
         image: as it was taken; its K is that of what it is undistorted to.
-        flow: A of `ray_flow`, while its rows were exposed one after the other; None at rest, and
-            where nothing is known of it.
+        flow: A of `continuous_homography`, where rows were exposed one after the other while it
+            moved visibly; else None.
         attitude_known: whether roll and pitch are.
         heading_open: whether nothing, or next to nothing, is known of it.
         views: made last, by heading, height in pixels, size and nadir: a cut one has another.
@@ -139,7 +139,9 @@ class Query:
         if camera.readout_s and self.attitude_known and prior.agl_m is not None:
             R_level_body = rotation_from_euler(prior.roll_rad or 0.0, prior.pitch_rad or 0.0, 0.0)
             down_camera = (R_level_body @ camera.R_body_camera)[2]
-            self.flow = ray_flow(frame, camera, down_camera, prior.agl_m)
+            mount = camera.R_body_camera, camera.t_body_camera_m
+            flow = continuous_homography(frame, mount, down_camera, prior.agl_m)
+            self.flow = flow if is_visible(flow, camera) else None
         self.views: dict[tuple[float, ...], View] = {}
         self.piece: tuple[int, Window, MapFeatures] | None = None
         self.weak: list[WeakFix] = []

@@ -231,14 +231,14 @@ def _pose(
     """Pose of the point that is reported: below the camera, or the image's centre."""
     H, made, known = consensus.H_map_view, view.rectification, query.attitude_known
     point_uv = made.nadir_uv if known else view.center_uv
-    lat_deg, _ = _lat_lon(map_, transform_points(H, point_uv)[0])
-    error = transform_points(H, consensus.uv_view) - consensus.uv_map
-    scatter_px = max(MIN_SIGMA_PX, math.sqrt(float(np.mean(error**2))))
+    mapped = transform_points(H, np.vstack([point_uv, consensus.uv_view]))
+    lat_deg, _ = _lat_lon(map_, mapped[0])
+    scatter_px = math.sqrt(float(np.mean((mapped[1:] - consensus.uv_map) ** 2)))
     # Neighbours err alike: only as many are independent as there are cells with an inlier.
     repeats = len(consensus.uv_view) / consensus.cells
     tilt_rad = accept.sigma_tilt_rad
     errors = PoseErrors(
-        sigma_px=scatter_px * math.sqrt(repeats),
+        sigma_px=max(MIN_SIGMA_PX, scatter_px) * math.sqrt(repeats),
         sigma_tilt_rad=tilt_rad if known else 0.0,
         sigma_lean_rad=tilt_rad if known else SIGMA_LEVEL_RAD,
         sigma_georeference_m=math.hypot(accept.sigma_georeference_m, SYSTEMATIC_PX * made.m_per_px),

@@ -26,7 +26,8 @@ _TURN_ON_SPANS = 5.0  # two samples that lie close tell no rate
 _LEAST_COS_LEAN = 0.5
 _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about acceleration
 LONGEST_GAP_S = 0.1  # between samples of the gyro; a longer one is a silence
-_TILTS_OVER_S = 0.04  # before an image, to tell how fast it tilted
+_TURNS_OVER_S = 0.01  # either way of a moment, to tell how the body turns then
+_TILTED_S = 0.02  # and before an image, to tell how fast it tilted until then
 _FORGET_AT_ONCE = 1000  # samples
 _MOST_SLIPS = 8  # of the clock, the newest
 
@@ -262,19 +263,25 @@ class AttitudeHistory:
         told = quat_multiply(quat_conjugate(quat0), quat1)
         return float(np.linalg.norm(vector_from_quat(quat_multiply(quat_conjugate(turn), told))))
 
+    def rates_rad_s(self, t_s: float, over_s: float = _TURNS_OVER_S) -> Array:
+        """How fast (3,) the body turns about its axes, in the mean of so long either way.
+
+        As the gyro counted it; without one as the attitudes say.
+        """
+        t0_s, t1_s = t_s - over_s, t_s + over_s
+        turn = self.gyro.between(t0_s, t1_s)
+        if turn is None:
+            w, x, y, z = self.held(t0_s).quat_wxyz.tolist()
+            inverse = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
+            turn = inverse @ self.held(t1_s).quat_wxyz
+        return np.asarray(math.copysign(1.0 / over_s, turn[0]) * turn[1:])
+
     def exposure(self, t_s: float) -> Exposure:
         """How an image of that time was held."""
         quat_wxyz = self.held(t_s).quat_wxyz
         forward, right, down = down_axis(quat_wxyz)
         lean = np.array([forward, right]) / max(down, _LEAST_COS_LEAN)
-        turn = self.gyro.between(t_s - _TILTS_OVER_S, t_s)
-        if turn is None:  # by the attitudes: x and y of the quaternion from the one to the other
-            w, x, y, z = self.held(t_s - _TILTS_OVER_S).quat_wxyz.tolist()
-            about = np.array([[-x, w, z, -y], [-y, -z, w, x]]) @ quat_wxyz
-        else:
-            about = turn[1:3]
-        turned = math.hypot(*about.tolist())
-        tilts_rad_s = 2.0 * turned / _TILTS_OVER_S
+        tilts_rad_s = math.hypot(*self.rates_rad_s(t_s - _TILTED_S, _TILTED_S)[:2].tolist())
         return Exposure(t_s, yaw_of(quat_wxyz), lean, tilts_rad_s, told=self.at(t_s) is not None)
 
 

@@ -11,6 +11,9 @@ together can.
 
 Ground that bends is higher than that plane by h = c . (x^2, x y, y^2), in the level coordinates
 (x, y) of camera 0, and seen at G (1 - h): three numbers more, with a prior of their own.
+
+The last one is the camera's read-out. A rolling shutter stretches the picture of a turn or a brake
+along its columns, as a slope of the ground would: which of them it is, only the two together tell.
 """
 
 import math
@@ -23,8 +26,8 @@ from numpy.typing import NDArray
 from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.types import Array
 
-_T, _PHI, _SLOPE, _BEND = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 11)
-_SIZE = 11
+_T, _PHI, _SLOPE, _BEND, _READOUT = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 11), 11
+_SIZE = 12
 _ITERATIONS = 5
 _RAYLEIGH_MEDIAN = 1.1774  # of residual lengths, in sigmas per axis
 _TUKEY = 4.685  # 95 % efficiency for normal errors
@@ -33,6 +36,7 @@ _LEAST_TOLD = 0.5  # of a slope, by the images and not by what was thought befor
 _LEAST_PARALLAX_PX = 1.0  # of a point as high over the ground as ...
 _TOLD_HEIGHT = 0.1  # ... this, in heights of the camera
 _HIGHEST = 0.6  # in heights of the camera: what seems higher is no point
+_MOST_READOUT_S, _LEAST_READOUT_S = 0.05, 0.001  # of any camera; sigma of what was learned of it
 _REGIONS = 4  # along each side of the image: tracks of one may hang together
 BoolArray = NDArray[np.bool_]
 
@@ -46,12 +50,16 @@ class Sightings:
         rays1: (n, 3) directions in camera 1, camera axes, third component 1.
         R_ned_camera1: (3, 3) as its attitude has it.
         focal_px: what a direction's tangent is multiplied by to give pixels.
+        skew0, skew1: (n, 3) what is to be added to rays0 and rays1 per second of read-out, see
+            `skew_per_s`; zero where they were seen all at once.
     """
 
     rays0: Array
     rays1: Array
     R_ned_camera1: Array
     focal_px: float
+    skew0: Array
+    skew1: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +68,7 @@ class MotionPrior:
 
     Attributes:
         slope_ne: (2,) what the ground is thought to rise by, to one sigma `slope`.
+        readout_s: what the rows are thought to take, to one sigma `sigma_readout_s`.
     """
 
     tilt_increment_rad: float
@@ -67,6 +76,8 @@ class MotionPrior:
     slope: float
     bend: float
     pixel: float
+    readout_s: float
+    sigma_readout_s: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,13 +89,14 @@ class Motion:
         turn_rad: (3,) rotation vector, NED: `exp(turn) @ R_ned_camera1` is the true rotation.
         slope: (2,) rise of the ground per north and east, in the frame of attitude 0.
         told_slope: the same and its covariance (2, 2) without the prior; None if that was all.
-        covariance: (11, 11) of the three, and of what the ground bends by.
+        covariance: (12, 12) of the three, of what the ground bends by, and of the read-out.
         doubt: times that, for roofs and crowns of trees move on planes of their own: which of them
             was taken for the ground, and how much the rest pulls at it, the inliers' scatter does
             not tell.
         inliers: (n,) bool. sigma_px: what the tracks that fit scatter by.
         relief: one sigma of the heights over the ground of what was seen, as a share of the height
             of camera 0; None where the way is too short to tell.
+        readout_s: from the first row to the last, and one sigma of it: a prior for what comes.
     """
 
     way: Array
@@ -96,6 +108,7 @@ class Motion:
     inliers: BoolArray
     sigma_px: float
     relief: float | None
+    readout_s: tuple[float, float]
 
 
 def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Motion | None:
@@ -107,6 +120,7 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
     parameters = _similarity(seen, threshold_px)
     if parameters is None:
         return None
+    parameters[_READOUT] = prior.readout_s
     scale_px = threshold_px
     for _ in range(_ITERATIONS):
         residuals, J, _ = _linearise(seen, parameters)
@@ -135,6 +149,8 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
     scores = np.einsum("nki,nk,n->ni", J, residuals, weights)
     covariance *= _hanging_together(seen.rays1[:, :2], scores, covariance)
     doubt = float(np.mean(inliers)) ** -2
+    readout_s = min(max(float(parameters[_READOUT]), 0.0), _MOST_READOUT_S)
+    sigma_s = math.sqrt(doubt * covariance[_READOUT, _READOUT])
     return Motion(
         parameters[_T],
         parameters[_PHI],
@@ -145,11 +161,12 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
         inliers,
         scale_px,
         _relief(residuals, per_height, scale_px),
+        (readout_s, max(sigma_s, _LEAST_READOUT_S)),
     )
 
 
 def _similarity(seen: Sightings, threshold_px: float) -> Array | None:
-    """First guess (11,): way and turn about down, level and with the attitude's word on tilt."""
+    """First guess (12,): way and turn about down, level and with the attitude's word on tilt."""
     rays1 = seen.rays1 @ seen.R_ned_camera1.T
     front = (seen.rays0[:, 2] > 0.1) & (rays1[:, 2] > 0.1)
     if np.count_nonzero(front) < 4:
@@ -175,7 +192,7 @@ def _similarity(seen: Sightings, threshold_px: float) -> Array | None:
 
 
 def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array, Array]:
-    """Residuals (n, 2), seen minus predicted in pixels, and the prediction's Jacobian (n, 2, 11).
+    """Residuals (n, 2), seen minus predicted in pixels, and the prediction's Jacobian (n, 2, 12).
 
     And how the prediction moves (n, 2) by the height of a point over the ground, in heights of the
     camera.
@@ -203,6 +220,11 @@ def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array, Array]
     per_height = -np.einsum("nij,nj->ni", M, plane)  # what is higher by h lies at plane (1 - h)
     J[:, :, _SLOPE] = per_height[:, :, None] * (across * (lower / depth)[:, None])[:, None]
     J[:, :, _BEND] = per_height[:, :, None] * bends[:, None]
+    deeper = seen.skew0[:, 2] + seen.skew0[:, :2] @ parameters[_SLOPE]
+    moves0 = (seen.skew0 - plane * deeper[:, None]) * (lower / depth)[:, None]
+    moves1 = seen.skew1[:, :2] - seen.rays1[:, :2] * seen.skew1[:, 2:]
+    J[:, :, _READOUT] = np.einsum("nij,nj->ni", M, moves0) - seen.focal_px * moves1
+    residuals -= J[:, :, _READOUT] * parameters[_READOUT]
     return residuals, J, per_height
 
 
@@ -228,15 +250,16 @@ def _relief(residuals: Array, per_height: Array, sigma_px: float) -> float | Non
 def _normal(
     residuals: Array, J: Array, weights: Array, parameters: Array, prior: MotionPrior
 ) -> tuple[Array, Array]:
-    """Normal equations of a Gauss-Newton step: information (11, 11) and gradient (11,).
+    """Normal equations of a Gauss-Newton step: information (12, 12) and gradient (12,).
 
     The way and the turn about down are left to the image.
     """
     known = np.zeros(_SIZE)
     known[3:5] = prior.tilt_increment_rad**-2
     known[_SLOPE], known[_BEND] = prior.slope**-2, prior.bend**-2
+    known[_READOUT] = prior.sigma_readout_s**-2
     thought = np.zeros(_SIZE)
-    thought[_SLOPE] = prior.slope_ne
+    thought[_SLOPE], thought[_READOUT] = prior.slope_ne, prior.readout_s
     flat, twice = J.reshape(-1, _SIZE), np.repeat(weights, 2)
     information = flat.T @ (flat * twice[:, None]) + np.diag(known)
     gradient = flat.T @ (twice * residuals.ravel()) - known * (parameters - thought)
@@ -247,7 +270,7 @@ def _hanging_together(places: Array, scores: Array, covariance: Array) -> float:
     """By how much the way is less sure than so many independent tracks would have it, at least 1.
 
     Neighbours in a blurred image are off to the same side, each of them hardly. So the scores
-    (n, 11) of the tracks at `places` (n, 2) in the image are summed by region before they are
+    (n, 12) of the tracks at `places` (n, 2) in the image are summed by region before they are
     squared (cluster-robust covariance, Liang and Zeger 1986, eq. 5).
     """
     lowest, highest = places.min(axis=0), places.max(axis=0)

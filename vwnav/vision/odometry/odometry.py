@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 
 from vwnav.geometry.camera import Camera
+from vwnav.geometry.homography import continuous_homography, skew_per_s
 from vwnav.geometry.rotations import (
     quat_from_rotation,
     rotation_from_euler,
     rotation_from_vector,
-    wrap_pi,
 )
 from vwnav.types import (
     Array,
@@ -38,7 +38,6 @@ from vwnav.vision.odometry.ground_motion import (
     tilt_seen,
 )
 from vwnav.vision.odometry.views import Alike, Course, Keyframe, Overlay, ReducedView, turned
-from vwnav.vision.shutter import as_at_once, ray_flow
 
 _LEAST_COS_TILT = 0.5  # of the optical axis against the vertical
 _LEAST_COS_RAY = 0.35  # 70 degrees: further out a pixel is a long stretch of ground
@@ -49,6 +48,7 @@ _WENT_BY_PX = 20.0  # the ground since the keyframe: no pixel shows what it show
 _STILL_PX, _STILL_SHARE, _STILL_S, _STILL_FROM_M, _TURNED_PX, _TURNS = 1.5, 0.9, 1.0, 3.0, 1.0, 4.0
 _ALIKE = 8  # such images, a second after each other
 _STILL = "they stand still while the aircraft turns"
+_ANY_READOUT_S, _CALIBRATED_S = (0.0, 0.015), 0.002  # and one sigma; that of a calibration
 _KNOCKS_RAD = tuple(math.radians(each) for each in (20.0, -20.0, 40.0, -40.0))
 
 
@@ -65,6 +65,10 @@ class Odometry:
     Of a video `alone`, without any telemetry, the camera is taken as level, its heading is counted
     from the first image (`counted_attitude` tells it), and the displacement is that of the ground
     point in the image's centre.
+
+    Attributes:
+        readout_s: what a rolling shutter is thought to take for its rows, and one sigma: as it was
+            calibrated, or nothing at first, and as images of turns and brakes have shown it since.
     """
 
     def __init__(self, camera: Camera, config: OdometryConfig, alone: bool = False) -> None:
@@ -75,7 +79,8 @@ class Odometry:
         w, h = (size // self._factor for size in self._full_wh)
         whole = replace(camera, width_px=w * self._factor, height_px=h * self._factor)
         self._camera = whole.scaled(w, h)
-        self._rolling = bool(camera.readout_s)
+        self.readout_s = _ANY_READOUT_S if (s := camera.readout_s) is None else (s, _CALIBRATED_S)
+        self._mount = camera.R_body_camera, camera.t_body_camera_m
         self._arm_camera_m = camera.R_body_camera.T @ camera.t_body_camera_m
         self.reset()
 
@@ -83,9 +88,10 @@ class Odometry:
         """Forget everything."""
         self._keyframe: Keyframe | None = None
         self._last: ReducedView | None = None
-        self._course = Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+        self._course = Course(0.0, np.zeros(3), np.eye(3), np.zeros(3))
         self._slope_ne: Array | None = None  # of the ground at the keyframe, by the images before
         self._heading_rad = 0.0
+        self._read_s = self.readout_s  # and by what was followed since the keyframe
         self._overlay = Overlay(self._camera.width_px, self._camera.height_px)
         self._broke = False  # the image before could not be followed
         self._alike: list[Alike] = []  # images of the keyframe that the newest is like
@@ -93,8 +99,9 @@ class Odometry:
 
     def mistook(self) -> None:
         """What was followed was not the ground: from the newest image on, and not as that led."""
-        self._course = Course(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+        self._course = Course(0.0, np.zeros(3), np.eye(3), np.zeros(3))
         self._keyframe = self._slope_ne = None
+        self._read_s = self.readout_s
         if self._last is not None:
             self._start(self._last)
 
@@ -177,8 +184,8 @@ class Odometry:
         contrast = float(cv2.meanStdDev(gray)[1][0, 0])
         if contrast < self._config.least_contrast:
             return self._lost(frame.t_s, RejectReason.TOO_DARK, f"contrast {contrast:.1f}")
-        flow = ray_flow(frame, self._camera, R_ned_camera[2], height_m) if self._rolling else None
-        heading_rad = _heading(R_ned_body)
+        flow = continuous_homography(frame, self._mount, R_ned_camera[2], height_m)
+        heading_rad = math.atan2(R_ned_body[1, 0], R_ned_body[0, 0])
         images = gray, normalize_contrast(gray)
         return ReducedView(frame.t_s, *images, R_ned_camera, heading_rad, agl_m, height_m, flow)
 
@@ -198,18 +205,18 @@ class Odometry:
         """Make a view the keyframe; None, and no keyframe, when it has too few corners."""
         uv = find_corners(view.gray, self._config.cell_px)
         rays = self._camera.bearings(uv.astype(np.float64))
-        if view.flow is not None:
-            rays = as_at_once(rays, uv, self._camera, view.flow)
-        rays = rays @ view.R_ned_camera.T
+        skew = skew_per_s(rays, uv[:, 1], self._camera.height_px, view.flow)
+        rays, skew = rays @ view.R_ned_camera.T, skew @ view.R_ned_camera.T
         down = rays[:, 2] > _LEAST_COS_RAY
         if self._alone:  # else the IMU tells that it is no ground
             down &= ~self._overlay.shows(uv)
         if np.count_nonzero(down) < self._config.least_corners:
             self._keyframe = None
             return None
-        self._keyframe = Keyframe(view, uv[down], rays[down])
+        self._keyframe = Keyframe(view, uv[down], rays[down], skew[down])
+        self.readout_s = self._read_s
         velocity = self._course.way_per_s
-        self._course = Course(view.t_s, np.zeros(3), np.zeros(3), velocity)
+        self._course = Course(view.t_s, np.zeros(3), np.eye(3), velocity)
         return self._keyframe
 
     def _guess(self, keyframe: Keyframe, view: ReducedView) -> Points:
@@ -218,7 +225,7 @@ class Odometry:
             return np.nan_to_num(self._alike[-1].uv, nan=-1e3)
         course = self._course
         way = course.way + (view.t_s - course.t_s) * course.way_per_s
-        R_camera_ned = (rotation_from_vector(course.turn_rad) @ view.R_ned_camera).T
+        R_camera_ned = (course.turn @ view.R_ned_camera).T
         ground = keyframe.rays / keyframe.rays[:, 2:]
         guess = np.nan_to_num(self._camera.project((ground - way) @ R_camera_ned.T), nan=-1e3)
         if keyframe.turn is not None:
@@ -234,10 +241,10 @@ class Odometry:
         if stats.matches < config.least_inliers:
             return Rejected(view.t_s, RejectReason.FEW_MATCHES, "tracks lost", stats=stats)
         rays1 = self._camera.bearings(uv1[kept].astype(np.float64))
-        if view.flow is not None:
-            rays1 = as_at_once(rays1, uv1[kept], self._camera, view.flow)
         rays1, focal_px = rays1 / rays1[:, 2:], float(self._camera.K[0, 0])
-        seen = Sightings(keyframe.rays[kept], rays1, view.R_ned_camera, focal_px)
+        skew1 = skew_per_s(rays1, uv1[kept, 1], self._camera.height_px, view.flow)
+        rays0, skew0 = keyframe.rays[kept], keyframe.skew[kept]
+        seen = Sightings(rays0, rays1, view.R_ned_camera, focal_px, skew0, skew1)
         prior = self._prior(keyframe.view, view)
         motion = fit_motion(seen, prior, config.threshold_px)
         count = 0 if motion is None else int(np.count_nonzero(motion.inliers))
@@ -282,11 +289,11 @@ class Odometry:
         c = self._config
         tilt_rad, slope = c.tilt_increment_level_rad, c.slope_level
         if not self._alone:
-            turned_rad = abs(wrap_pi(keyframe.heading_rad - view.heading_rad))
+            turned_rad = abs(math.remainder(keyframe.heading_rad - view.heading_rad, math.tau))
             tilt_rad, slope = math.hypot(c.tilt_increment_rad, c.tilt_rad * turned_rad), c.slope
-        if self._slope_ne is None:
-            return MotionPrior(tilt_rad, np.zeros(2), slope, c.bend, c.sigma_px)
-        return MotionPrior(tilt_rad, self._slope_ne, c.slope_change, c.bend, c.sigma_px)
+        before = self._slope_ne
+        rise = (np.zeros(2), slope) if before is None else (before, c.slope_change)
+        return MotionPrior(tilt_rad, *rise, c.bend, c.sigma_px, *self.readout_s)
 
     def _accept(
         self,
@@ -298,8 +305,9 @@ class Odometry:
         slope: tuple[Array, Array] | None,
     ) -> OdometryMotion:
         turn = rotation_from_vector(motion.turn_rad)
-        heading1_rad = _heading(turn @ view.R_ned_camera @ self._camera.R_body_camera.T)
-        increment_rad = wrap_pi(heading1_rad - keyframe.view.heading_rad)
+        R1_ned_body = turn @ view.R_ned_camera @ self._camera.R_body_camera.T
+        heading1_rad = math.atan2(R1_ned_body[1, 0], R1_ned_body[0, 0])
+        increment_rad = math.remainder(heading1_rad - keyframe.view.heading_rad, math.tau)
         height_m = keyframe.view.height_m
         if self._alone:
             axes = keyframe.view.R_ned_camera[:, 2], view.R_ned_camera[:, 2]
@@ -308,7 +316,10 @@ class Odometry:
         else:
             way, covariance = motion.way, motion.covariance[:3, :3]
         swung_m = (view.R_ned_camera - keyframe.view.R_ned_camera) @ self._arm_camera_m
-        self._remember(view, motion)
+        before, self._last = self._course, view
+        velocity = (motion.way - before.way) / (view.t_s - before.t_s)
+        self._course = Course(view.t_s, motion.way, np.eye(3) if self._alone else turn, velocity)
+        self._read_s = motion.readout_s
         if not self._hangs and (
             count < self._config.keep_ratio * len(keyframe.uv)
             or abs(increment_rad) > self._config.keep_turn_rad
@@ -334,14 +345,3 @@ class Odometry:
             relief=motion.relief,
             tilts_turned=tilt.turned,
         )
-
-    def _remember(self, view: ReducedView, motion: Motion) -> None:
-        course = self._course
-        velocity = (motion.way - course.way) / (view.t_s - course.t_s)
-        turn_rad = motion.turn_rad * (0.0 if self._alone else 1.0)
-        self._course = Course(view.t_s, motion.way, turn_rad, velocity)
-        self._last = view
-
-
-def _heading(R_ned_body: Array) -> float:
-    return math.atan2(float(R_ned_body[1, 0]), float(R_ned_body[0, 0]))

@@ -21,7 +21,7 @@ class ReducedView:
     """A reduced image and how it was taken: heading and height of the body, height of the camera.
 
     In its `normalized` image corners are followed, see `normalize_contrast`. `flow` (3, 3) is how
-    what is seen moves while rows are read, see `vwnav.vision.shutter`.
+    what is seen moves while rows are read, see `continuous_homography`; zero if that is not known.
     """
 
     t_s: float
@@ -31,19 +31,21 @@ class ReducedView:
     heading_rad: float
     agl_m: float
     height_m: float
-    flow: Array | None
+    flow: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframe:
     """A view with its corners uv (n, 2) and their directions rays (n, 3) in NED.
 
+    `skew` (n, 3) is what is to be added to them per second of read-out.
     `turn` (2, 3) is by which its image and corners are turned in the image plane, see `turned`.
     """
 
     view: ReducedView
     uv: Points
     rays: Array
+    skew: Array
     turn: Array | None = None
 
 
@@ -65,13 +67,13 @@ class Course:
 
     Attributes:
         t_s: of the last image that could be followed.
-        way: (3,) NED from the keyframe in units of its AGL. turn_rad: (3,) as `Motion` has it.
+        way: (3,) NED from the keyframe in units of its AGL. turn: (3, 3) as `Motion` has it.
         way_per_s: (3,) velocity in the same units.
     """
 
     t_s: float
     way: Array
-    turn_rad: Array
+    turn: Array
     way_per_s: Array
 
 
