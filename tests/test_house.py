@@ -9,8 +9,8 @@ from tests.house import measure
 # What may not be exceeded. Aims where it is not reached: docs/architecture.md.
 BOUNDS = {
     "step_files": 25,
-    "step_functions": 194,
-    "step_crossings": 166,
+    "step_functions": 193,
+    "step_crossings": 159,
     "import_chain": 12,
     "files_in_a_folder": 14,
     "largest_file": 350,

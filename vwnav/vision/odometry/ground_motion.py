@@ -23,7 +23,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from vwnav.geometry.rotations import rotation_from_vector
 from vwnav.types import Array
 
 _T, _PHI, _SLOPE, _BEND, _READOUT = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 11), 11
@@ -203,7 +202,7 @@ def _linearise(seen: Sightings, parameters: Array) -> tuple[Array, Array, Array]
     level = across / seen.rays0[:, 2:]
     bends = np.column_stack([level[:, :1] * level, level[:, 1] ** 2])
     lower = 1.0 - bends @ parameters[_BEND]
-    R_camera1_ned = (rotation_from_vector(parameters[_PHI]) @ seen.R_ned_camera1).T
+    R_camera1_ned = (cv2.Rodrigues(parameters[_PHI])[0] @ seen.R_ned_camera1).T
     away = plane * lower[:, None] - parameters[_T]
     q = away @ R_camera1_ned.T
     predicted = q[:, :2] / q[:, 2:]

@@ -15,7 +15,6 @@ from vwnav.geometry.homography import continuous_homography, skew_per_s
 from vwnav.geometry.rotations import (
     quat_from_rotation,
     rotation_from_euler,
-    rotation_from_vector,
 )
 from vwnav.types import (
     Array,
@@ -304,7 +303,7 @@ class Odometry:
         tilt: TiltSeen,
         slope: tuple[Array, Array] | None,
     ) -> OdometryMotion:
-        turn = rotation_from_vector(motion.turn_rad)
+        turn = np.asarray(cv2.Rodrigues(motion.turn_rad)[0], np.float64)
         R1_ned_body = turn @ view.R_ned_camera @ self._camera.R_body_camera.T
         heading1_rad = math.atan2(R1_ned_body[1, 0], R1_ned_body[0, 0])
         increment_rad = math.remainder(heading1_rad - keyframe.view.heading_rad, math.tau)
