@@ -336,7 +336,7 @@ class MountCheck:
         self._tilted_s, self._left = motion.t1_s, self._left - share
         said = weight * np.array([along, across, *mirrored, tilted])
         self._tilts += share * np.array([*said, _APART_S])
-        is_fresh = had_fix and motion.t1_s < self._broke_s + _FRESH_S
+        is_fresh = had_fix and self._broke_s < motion.t0_s < motion.t1_s < self._broke_s + _FRESH_S
         for knocked in (True, False) if is_fresh else (False,):
             along, across, *mirrored, told, _ = sums = self._tilts[int(knocked)].tolist()
             stated = along - told * (1.0 - 1.0 / OVERSTATED)
