@@ -64,6 +64,8 @@ class WeakLocalizer:
 class NorthwardOdometry:
     """Each image is the keyframe of the next."""
 
+    readout_s = 0.0, 0.015
+
     def __init__(self) -> None:
         self._before_s: float | None = None
 

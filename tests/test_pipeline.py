@@ -99,6 +99,7 @@ class NoOdometry:
     """Finds nothing; remembers the attitudes it was handed."""
 
     attitudes: list = field(default_factory=list)
+    readout_s: tuple[float, float] = (0.0, 0.015)
 
     def step(self, frame, R_ned_body, agl_m):
         self.attitudes.append(R_ned_body)
@@ -556,6 +557,8 @@ SPEED_M_S = 3.0
 
 class MovingNorth:
     last_s: float | None = None
+
+    readout_s = 0.0, 0.015
 
     def step(self, frame, R_ned_body, agl_m):
         before_s, self.last_s = self.last_s, frame.t_s

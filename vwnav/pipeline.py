@@ -296,7 +296,7 @@ class Pipeline:
         sigma_yaw_rad = doubt * (now.sigma_seen_yaw_rad or now.sigma_yaw_rad)
         prior = Prior(
             yaw_rad=yaw_rad if sigma_yaw_rad < MAX_YAW_SIGMA_RAD else None,
-            sigma_yaw_rad=sigma_yaw_rad, agl_m=now.agl_m,
+            sigma_yaw_rad=sigma_yaw_rad, agl_m=now.agl_m, readout_s=self._odometry.readout_s,
             sigma_agl_ratio=max(agl_ratio, min(doubt * agl_ratio, MAX_DOUBTED_AGL_RATIO)),
             roll_rad=roll_rad, pitch_rad=pitch_rad, slope_ne=now.slope_ne,
         )  # fmt: skip

@@ -168,6 +168,8 @@ class FeatureChoice:
 class Tracking(Protocol):
     """What the pipeline needs of `vwnav.vision.odometry.odometry.Odometry`."""
 
+    readout_s: tuple[float, float]
+
     def counted_attitude(self, t_s: float) -> Attitude:
         """Of a video alone: level, with the heading counted from its images."""
         ...

@@ -121,12 +121,11 @@ class Prior:
     """What is known before an image is matched; every field may be unknown.
 
     Attributes:
-        lat_deg, lon_deg: where the body is thought to be.
-        sigma_m: one-sigma of that, per horizontal axis.
+        lat_deg, lon_deg: where the body is thought to be; sigma_m: one sigma, per horizontal axis.
         yaw_rad: heading of the body (of the image's upper edge for an image alone).
         agl_m: height of the body above the ground, `sigma_agl_ratio` its relative sigma.
         roll_rad, pitch_rad: attitude of the body; unknown is taken as level.
-        slope_ne: rise of the ground per metre north and east.
+        slope_ne: rise of the ground per metre. readout_s: what rows were seen to take, one sigma.
     """
 
     lat_deg: float | None = None
@@ -139,6 +138,7 @@ class Prior:
     roll_rad: float | None = None
     pitch_rad: float | None = None
     slope_ne: tuple[float, float] = (0.0, 0.0)
+    readout_s: tuple[float, float] = (0.0, np.inf)
 
 
 @dataclass(frozen=True, slots=True)

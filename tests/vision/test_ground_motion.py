@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from vwnav.geometry.rotations import skew
 from vwnav.vision.odometry.ground_motion import Motion, MotionPrior, Sightings, fit_motion
@@ -90,7 +92,12 @@ def test_the_relief_of_woods_and_clearings_is_told_and_that_of_level_ground_is_n
     assert moved(noise_px).relief == pytest.approx(0.0, abs=0.012)
 
 
-def climbed(readout_s: float, told: bool, prior: MotionPrior = BRAKING) -> Motion:
+QUIET_PX = 0.3 * np.random.default_rng(3).normal(size=(144, 2))
+
+
+def climbed(
+    readout_s: float, told: bool, prior: MotionPrior = BRAKING, noise_px: np.ndarray = QUIET_PX
+) -> Motion:
     """Over level ground, the keyframe taken in a brake, pitching, the image at rest and higher."""
     v, u = np.meshgrid(np.linspace(-0.6, 0.6, 12), np.linspace(-0.8, 0.8, 12), indexing="ij")
     rays = np.dstack([u, v, np.ones_like(u)]).reshape(-1, 3)
@@ -98,7 +105,6 @@ def climbed(readout_s: float, told: bool, prior: MotionPrior = BRAKING) -> Motio
     per_s = (rays[:, 1:2] / 1.2) * (rays @ pitching.T)  # the first row half a read-out earlier
     rays1 = rays - CLIMB @ LOOKS_DOWN
     rays1 = rays1 / rays1[:, 2:]
-    noise_px = 0.3 * np.random.default_rng(3).normal(size=(144, 2))
     rays1[:, :2] += noise_px / FOCAL_PX
     skew0 = per_s @ LOOKS_DOWN.T if told else AT_ONCE
     seen0 = (rays - readout_s * per_s) @ LOOKS_DOWN.T
@@ -127,3 +133,14 @@ def test_a_read_out_that_is_known_is_taken_off_and_stays_known():
     motion = climbed(0.02, told=True, prior=known)
     assert motion.way == pytest.approx(CLIMB, abs=0.001)
     assert motion.readout_s == pytest.approx((0.02, 0.001), abs=0.001)
+
+
+@given(seed=st.integers(0, 2**32 - 1), together=st.booleans(), sigma_s=st.floats(0.001, 0.02))
+def test_tracks_make_a_read_out_surer_and_never_less_sure_than_it_was(seed, together, sigma_s):
+    rng, prior = np.random.default_rng(seed), replace(BRAKING, sigma_readout_s=sigma_s)
+    noise_px = 2.0 * rng.normal(size=(4, 4, 2) if together else (12, 12, 2))
+    if together:
+        noise_px = noise_px.repeat(3, axis=0).repeat(3, axis=1)
+    value_s, told_s = climbed(0.008, True, prior, noise_px.reshape(-1, 2)).readout_s
+    assert value_s >= 0.0
+    assert told_s <= sigma_s

@@ -32,6 +32,7 @@ from vwnav.types import (
 from vwnav.vision.shutter import is_visible, seen_by_rows
 
 MAX_VIEW_PX = 1400
+_KNOWN_READOUT_S = 0.003  # one sigma of a read-out by which rows are put back
 MOST_VIEWS = 64  # that are kept: a search makes all headings of a height, then those of the next
 EDGE_PX = 6.0  # keypoints nearer to the image's edge see what is not in the image
 MIN_SHRINK = 0.6  # below this the image is halved first: a warp alone would alias
@@ -130,6 +131,8 @@ class Query:
         """
         start, image = clock(), frame.image
         check_fits(camera, image.shape[1], image.shape[0])
+        if prior.readout_s[1] < _KNOWN_READOUT_S:
+            camera = replace(camera, readout_s=prior.readout_s[0])
         self._camera, self._extractor, self._clock = camera, extractor, clock
         self.t_s, self.prior, self.seed, self.features = frame.t_s, prior, seed, extractor.name
         self.image = Taken(image if image.ndim == 2 else to_gray(image), camera.K)

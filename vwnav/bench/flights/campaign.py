@@ -22,6 +22,7 @@ _GROUND_S = 240.0  # getting ready, climb, descent and landing
 _SLOWEST_M_S = 2.0  # along the route, on average
 _LANDS_WITHIN_M = 3.0
 _COMPASS_SIGMA_DEG = 5.0
+_MOST_READOUT_S = 0.03
 
 Place3 = tuple[float, float, float]
 
@@ -108,6 +109,7 @@ def off_as_told(rng: np.random.Generator) -> dict[str, Any]:
         "lens_ratio": float(rng.normal(1.0, camera.sigma_focal_ratio)),
         "compass_off_deg": float(rng.normal(0.0, _COMPASS_SIGMA_DEG)),
         "map_warp": MapWarp(sigma_m=MAP_SIGMA_M, seed=int(rng.integers(1, 2**31))),
+        "readout_s": float(rng.uniform(0.0, _MOST_READOUT_S)),
     }
 
 

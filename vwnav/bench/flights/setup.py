@@ -66,6 +66,7 @@ class Setup:
         mount_yaw_deg: how the camera hangs as calibrated: its upper edge from the nose, clockwise.
         mount_off_deg: how the camera truly hangs, roll, pitch and yaw beyond its calibration.
         lens_ratio: its true focal length over the calibrated one.
+        readout_s: what its rows truly take; None: what the simulated camera's take.
         relief: of the ground about home, where it has to stand.
         map_warp: of the map that is flown on.
         range_most_m: how far the rangefinder reaches; 0: there is none.
@@ -96,6 +97,7 @@ class Setup:
     mount_yaw_deg: float = 0.0
     mount_off_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lens_ratio: float = 1.0
+    readout_s: float | None = None
     relief: Relief = field(default_factory=Relief)
     map_warp: MapWarp = field(default_factory=MapWarp)
     range_most_m: float = 100.0
@@ -141,4 +143,5 @@ class Setup:
         off = rotation_from_euler(*map(math.radians, self.mount_off_deg))
         K = told.K.copy()
         K[0, 0], K[1, 1] = self.lens_ratio * K[0, 0], self.lens_ratio * K[1, 1]
-        return replace(told, K=K, R_body_camera=off @ told.R_body_camera)
+        readout_s = told.readout_s if self.readout_s is None else self.readout_s
+        return replace(told, K=K, R_body_camera=off @ told.R_body_camera, readout_s=readout_s)

@@ -146,10 +146,14 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
         return None
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     scores = np.einsum("nki,nk,n->ni", J, residuals, weights)
-    covariance *= _hanging_together(seen.rays1[:, :2], scores, covariance)
+    hanging = _hanging_together(seen.rays1[:, :2], scores, covariance)
     doubt = float(np.mean(inliers)) ** -2
-    readout_s = min(max(float(parameters[_READOUT]), 0.0), _MOST_READOUT_S)
-    sigma_s = math.sqrt(doubt * covariance[_READOUT, _READOUT])
+    # Of the read-out's posterior the prior stays as sure as it was.
+    of_prior = covariance[_READOUT, _READOUT] / prior.sigma_readout_s**2
+    gain = 1.0 / (1.0 - of_prior + of_prior * hanging * doubt)
+    readout_s = prior.readout_s + gain * float(parameters[_READOUT] - prior.readout_s)
+    sigma_s = math.sqrt(gain * hanging * doubt * covariance[_READOUT, _READOUT])
+    covariance *= hanging
     return Motion(
         parameters[_T],
         parameters[_PHI],
@@ -160,7 +164,7 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
         inliers,
         scale_px,
         _relief(residuals, per_height, scale_px),
-        (readout_s, max(sigma_s, _LEAST_READOUT_S)),
+        (min(max(readout_s, 0.0), _MOST_READOUT_S), max(sigma_s, _LEAST_READOUT_S)),
     )
 
 

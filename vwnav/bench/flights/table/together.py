@@ -159,6 +159,7 @@ FOUND_OUT = [
     for what, changes in (
         ("camera turned by 180 degrees", {"mount_off_deg": (0.0, 0.0, 180.0)}),
         ("a lens a fifth narrower than calibrated", {"lens_ratio": 1.25}),
+        ("rows read in 30 ms and nobody knows", {"readout_s": 0.03}),
     )
 ]
 STALE = [
@@ -177,8 +178,8 @@ STALE = [
 # It looks for the map from higher up, finds it, goes on, and loses it again.
 SNOW = [
     Scenario(
-        name="no fix for 20 s, fixes for 3 s, and then none",
-        setup=setup(),
+        name=f"{how}no fix for 20 s, fixes for 3 s, and then none",
+        setup=setup(readout_s=readout_s),
         breaks=(
             Break(fault=fixes.NoFixes(), at_s=BREAKS_AT_S, for_s=20.0),
             Break(fault=fixes.NoFixes(), at_s=BREAKS_AT_S + 23.0),
@@ -192,7 +193,8 @@ SNOW = [
         ),
         lands_within_m=5.0,
         lands_at_ne_m=HOME,
-    ),
+    )
+    for how, readout_s in (("", None), ("rows read in 30 ms and nobody knows, ", 0.03))
 ]
 _CUT = Break(fault=link.LinkCut(), at_s=BREAKS_AT_S, for_s=3.0)
 # PX4 has fallen back to a mode that stays up by the time that the link is there again.
