@@ -285,6 +285,35 @@ def test_what_was_seen_before_an_image_that_cannot_be_followed_is_no_witness_of_
     assert told[0].turned_rad == pytest.approx(0.5 * math.pi)
 
 
+@given(SEEDS)
+def test_one_keyframe_whose_images_tilt_the_wrong_way_turns_no_camera_that_was_gone(seed):
+    """One that came back zoomed was taken for one upside down by its first keyframe, 0.9 s long."""
+    rng, check = np.random.default_rng(seed), MountCheck(True, LEVEL)
+    check.broke(0.0)
+    for i in range(1, 60):
+        way_rad = rng.uniform(0.0, 2.0 * math.pi)
+        tilt_rad = 0.06 * np.array([math.cos(way_rad), math.sin(way_rad)])
+        seen_rad = (-1.5 if 5 < i <= 15 else 1.0) * tilt_rad + 0.01 * rng.normal(size=2)
+        motion = shown(0.1 * i, tilt_rad, seen_rad, 0.01)
+        motion = replace(motion, t0_s=0.0) if i <= 15 else motion
+        turn = check.turned(motion, AGREES, had_fix=True)
+        assert turn is None or turn.mirrored
+
+
+@pytest.mark.parametrize("overstated", [1.0, 1.1, 1.25, 1.5])
+def test_half_a_turn_is_told_however_much_fits_overstate_it(overstated):
+    """By nothing where they know the camera's read-out."""
+    for seed in range(20):
+        rng, check = np.random.default_rng(seed), MountCheck(True, LEVEL)
+        seen_of, told = turned_by(math.pi, overstated), None
+        for i in range(1, 40):
+            tilt_rad = 0.03 * rng.normal(size=2)
+            seen_rad = seen_of(tilt_rad, 0.0) + 0.01 * rng.normal(size=2)
+            told = told or check.turned(shown(0.1 * i, tilt_rad, seen_rad, 0.01), AGREES, False)
+        assert told is not None
+        assert abs(told.turned_rad) == pytest.approx(math.pi)
+
+
 def test_a_filter_that_is_told_of_a_turned_mount_takes_it_out_of_the_compass():
     """And of the velocity, and of the way since the last fix that is trusted."""
     state = of_filter()

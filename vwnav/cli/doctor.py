@@ -196,8 +196,7 @@ def _calibration(path: Path) -> Check:
     if not {"sigma_fx_px", "sigma_focal_ratio"} & set(found):
         detail += ": nobody measured it (vwnav calibrate camera)"
     if camera.readout_s is None:
-        detail += "; read-out not known: odometry learns it in flight, a look at the map in a turn"
-        detail += " is the worse for it (vwnav calibrate mount)"
+        detail += "; read-out not known: it is learned in the first turns and brakes of a flight"
     return Check("calibration", "PASS" if plausible else "WARN", detail)
 
 

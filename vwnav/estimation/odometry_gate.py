@@ -33,8 +33,7 @@ _HARD_LEAN = 0.25  # tangent; of less the along part is within what odometry say
 _STRETCHED = 0.8  # of its height, by the turn of the rows read before and after an image's date
 _BLURRED_CLIMB_M_S = 0.5  # one sigma of a climb then
 _TELLS_FROM_M = 3.0  # of height; lower, blades and blur are what an image shows
-_WINDOW_S = 1.2
-_LEAST = 6  # ways in it
+_WINDOW_S, _LEAST = 1.2, 6  # ways in it
 _GAP_S = 0.5  # after which it is the filter that may be wrong
 _DOUBTED, _TRUSTED = 0.5, 0.9  # share that agrees: at most, and at least
 _DOUBTED_UNBORNE, _UNBORNE = 0.8, 3  # of ways that no map fix bears: so many were refused in a row
@@ -51,7 +50,7 @@ _APART_S = 0.5  # neighbours share their errors: so long after each other they a
 _MOST_ALONG = 5.0  # what one says at most, and those of one keyframe
 _SURE_ALONG = 7.0  # of them all, once in a thousand; that they do is remembered twice as long
 _MOST_TOLD, _MOST_SHARE = 20.0, 0.2  # by one image: several have to agree
-_MOST_OF_ONE = 3.0  # witnesses that share a keyframe, and its error: less than is asked for
+_MOST_OF_ONE = np.array([3.0, 1.2])  # witnesses of one keyframe, all in all and since it broke
 _MOST_TURNS = 4  # in a flight; a mirrored image seems turned by this and that
 _FRESH_S = 10.0  # after an image that could not be followed
 CAMERA_GONE_S = 1.0  # without an image; its driver may have begun in another mode then
@@ -332,11 +331,12 @@ class MountCheck:
         weight = min(_MOST_TOLD / max(math.hypot(along, across), 1e-9), 1.0)
         if motion.t0_s != self._keyframe_s:
             self._keyframe_s, self._left = motion.t0_s, _MOST_OF_ONE
-        share = min(max(motion.t1_s - self._tilted_s, 0.0) / _APART_S, _MOST_SHARE, self._left)
+        since_s, most = max(motion.t1_s - self._tilted_s, 0.0), np.minimum(_MOST_SHARE, self._left)
+        share = np.minimum(since_s / _APART_S, most)
         self._tilted_s, self._left = motion.t1_s, self._left - share
         said = weight * np.array([along, across, *mirrored, tilted])
-        self._tilts += share * np.array([*said, _APART_S])
-        is_fresh = had_fix and self._broke_s < motion.t0_s < motion.t1_s < self._broke_s + _FRESH_S
+        self._tilts += np.outer(share, [*said, _APART_S])
+        is_fresh = had_fix and motion.t1_s < self._broke_s + _FRESH_S
         for knocked in (True, False) if is_fresh else (False,):
             along, across, *mirrored, told, _ = sums = self._tilts[int(knocked)].tolist()
             stated = along - told * (1.0 - 1.0 / OVERSTATED)

@@ -28,7 +28,8 @@ _MOST_TURN_RAD = math.radians(45.0)
 _SURE, LEAST_SURE = 6.0, 2.0  # log-likelihood ratio to as told: 3.5 sigmas; once it was told, 2
 OVERSTATED = 1.25  # z - w, by fits whose attitudes are that wrong: 1.1 to 1.5 times
 # Of what the attitudes tell: images of another moment show less, of ground that repeats far more.
-_LEAST_SHOWN, _MOST_SHOWN = 0.7, 1.5
+# Half a turn that nothing overstates leaves 0.6 of it.
+_LEAST_SHOWN, _LEAST_MIRRORED, _MOST_SHOWN = 0.5, 0.7, 1.5
 _LEAST_TILTED_S, _LEAST_LIFTING_S = 2.0, 0.5  # of images; a quarter turn costs a take-off
 # Sigmas; once a turn was told: 45 degrees were a quarter turn, and none, and one, and none.
 _QUARTER_RAD, _NEAR_QUARTER, _NEAR_AGAIN = 0.5 * math.pi, 2.0, 1.0
@@ -115,7 +116,7 @@ def hangs(
     can_be = (knocked and is_new) or not had_fix
     if mirrored - stated >= _SURE and can_be:
         repeats = knocked and mirrored > _MOST_SHOWN * told
-        if mirrored < _LEAST_SHOWN * told or repeats or seen_s < _LEAST_LIFTING_S:
+        if mirrored < _LEAST_MIRRORED * told or repeats or seen_s < _LEAST_LIFTING_S:
             return None
         turned_rad = math.atan2(mirror_across, mirror_along)
         turned_rad, sigma_rad = _snapped(turned_rad, _NEAR_QUARTER / math.sqrt(mirrored))
