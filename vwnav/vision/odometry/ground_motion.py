@@ -152,7 +152,7 @@ def fit_motion(seen: Sightings, prior: MotionPrior, threshold_px: float) -> Moti
     of_prior = covariance[_READOUT, _READOUT] / prior.sigma_readout_s**2
     gain = 1.0 / (1.0 - of_prior + of_prior * hanging * doubt)
     readout_s = prior.readout_s + gain * float(parameters[_READOUT] - prior.readout_s)
-    sigma_s = math.sqrt(gain * hanging * doubt * covariance[_READOUT, _READOUT])
+    sigma_s = math.sqrt(max(gain * hanging * doubt * covariance[_READOUT, _READOUT], 0.0))
     covariance *= hanging
     return Motion(
         parameters[_T],
