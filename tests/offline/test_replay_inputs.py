@@ -134,6 +134,7 @@ class Localizer:
 class Odometry:
     last_s: float | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
+    readout_s: tuple[float, float] = (0.0, 0.015)
 
     def step(self, frame, R_ned_body, agl_m):
         before_s, self.last_s = self.last_s, frame.t_s
