@@ -168,7 +168,7 @@ class FeatureChoice:
 class Tracking(Protocol):
     """What the pipeline needs of `vwnav.vision.odometry.odometry.Odometry`."""
 
-    readout_s: tuple[float, float]
+    readout_s: tuple[float, float]  # what rows are thought to take, and one sigma
 
     def counted_attitude(self, t_s: float) -> Attitude:
         """Of a video alone: level, with the heading counted from its images."""

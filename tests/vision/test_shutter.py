@@ -74,6 +74,14 @@ def test_of_a_motion_that_nobody_told_nothing_is_put_back():
     assert not is_visible(flow, LENS)
 
 
+def test_a_heading_that_is_reset_is_no_turn_that_rows_show():
+    """By 90 degrees between two attitudes: taken for one it told a read-out of nothing, surely."""
+    reset = np.array([0.0, 0.0, 0.5 * np.pi / 0.02])
+    told = replace(STILL, rates_rad_s=reset, velocity_body_m_s=np.zeros(3))
+    down_camera = np.array([0.0, 0.0, 1.0])
+    assert not continuous_homography(told, mount_of(LENS), down_camera, HEIGHT_M).any()
+
+
 def test_an_image_is_put_back_too():
     """What is fetched from is where the rows saw it."""
     seen, at_once, flow = seen_and_at_once(LENS, (0.3, -0.5, 1.0), (12.0, 3.0, 1.0), (0.1, -0.1, 2))

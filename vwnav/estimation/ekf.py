@@ -80,7 +80,7 @@ class Ekf:
         self._context = Context(config, self.attitudes, self._imu, ground)
         self._timeline: Timeline | None = None
         self._asked_s = -math.inf
-        self._input_log: Callable[[Input], None] = deque[Input](maxlen=0).append  # nobody's
+        self._input_log: Callable[[Input], None] = deque[Input](maxlen=0).append  # keeps none
         self._say: Callable[[str], None] = lambda _: None
         self._refused_ways = 0  # in a row
 

@@ -24,6 +24,7 @@ from vwnav.types import Array, Frame
 BoolArray = NDArray[np.bool_]
 CONFIDENCE = 0.9999
 _MIN_AREA_RATIO = 1e-6
+_MOST_TURN_RAD_S = 10.0  # what turns a multirotor faster is a correction of its attitude
 _LEAST_SQUARES = 0  # OpenCV's name for it
 
 
@@ -212,7 +213,7 @@ def _fitted(p0: Array, p1: Array, method: cv2.UsacParams | int) -> Array | None:
 def continuous_homography(
     frame: Frame, mount: tuple[Array, Array], down_camera: Array, height_m: float
 ) -> Array:
-    """A (3, 3), per second; zero where it is not known.
+    """A (3, 3), per second; zero where it is not known, or none that a body has.
 
     Args:
         frame: with the body's motion.
@@ -222,6 +223,8 @@ def continuous_homography(
     """
     rates_rad_s, velocity_m_s = frame.rates_rad_s, frame.velocity_body_m_s
     if rates_rad_s is None or velocity_m_s is None or not height_m > 0.0:
+        return np.zeros((3, 3))
+    if not rates_rad_s @ rates_rad_s < _MOST_TURN_RAD_S**2:
         return np.zeros((3, 3))
     R_camera_body = mount[0].T
     velocity_m_s = velocity_m_s + np.cross(rates_rad_s, mount[1])

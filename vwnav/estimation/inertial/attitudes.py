@@ -274,7 +274,8 @@ class AttitudeHistory:
             w, x, y, z = self.held(t0_s).quat_wxyz.tolist()
             inverse = np.array([[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]])
             turn = inverse @ self.held(t1_s).quat_wxyz
-        return np.asarray(math.copysign(1.0 / over_s, turn[0]) * turn[1:])
+        half = math.copysign(1.0, turn[0]) * turn[1:]  # sine of half the angle, about the axis
+        return np.asarray((1.0 + half @ half / 6.0) * half / over_s)
 
     def exposure(self, t_s: float) -> Exposure:
         """How an image of that time was held."""

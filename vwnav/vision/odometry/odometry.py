@@ -47,7 +47,7 @@ _WENT_BY_PX = 20.0  # the ground since the keyframe: no pixel shows what it show
 _STILL_PX, _STILL_SHARE, _STILL_S, _STILL_FROM_M, _TURNED_PX, _TURNS = 1.5, 0.9, 1.0, 3.0, 1.0, 4.0
 _ALIKE = 8  # such images, a second after each other
 _STILL = "they stand still while the aircraft turns"
-_ANY_READOUT_S, _CALIBRATED_S = (0.0, 0.015), 0.002  # and one sigma; that of a calibration
+_ANY_READOUT_S, _CALIBRATED_S = (0.0, 0.015), 0.002  # not known, with one sigma; that of a known
 _KNOCKS_RAD = tuple(math.radians(each) for each in (20.0, -20.0, 40.0, -40.0))
 
 
