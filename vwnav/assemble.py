@@ -31,6 +31,7 @@ _WIDE = "sees {:.2f} times as wide as its calibration says"
 _TURNED = "hangs turned by {:.0f} degrees {}clockwise, seen from above, from its mount_rpy_deg"
 _MIRRORED = "mirrors its pictures left to right (a flip in its driver, of one axis alone?)"
 _TILTED = "looks {:.0f} degrees further {} than its mount_rpy_deg says"
+_MISDATED = "dates its pictures {:.0f} ms {} than its time_offset_s says"
 _RECALIBRATED = "the camera {}: it is taken for that from now on; calibrate it"
 _TOLD_RAD = math.radians(2.0)  # by which a mount is off that is told of
 _HALF_TURN_RAD = math.pi - 1e-6
@@ -126,6 +127,7 @@ def assemble(
         R_mount = np.reshape(other.R_mount, (3, 3))
         found = [_MIRRORED] if other.mirrored else []
         found += [*_lens_in_words(other.focal_ratio), *_mount_in_words(R_mount)]
+        found += _dates_in_words(other.time_offset_s)
         say(_RECALIBRATED.format(" and ".join(found)) if found else _AFTER_ALL)
         K = camera.K.copy()
         K[:2, :2] *= other.focal_ratio
@@ -142,6 +144,11 @@ def assemble(
 
 def _lens_in_words(focal_ratio: float) -> list[str]:
     return [] if focal_ratio == 1.0 else [_WIDE.format(1.0 / focal_ratio)]
+
+
+def _dates_in_words(time_offset_s: float) -> list[str]:
+    when = "later" if time_offset_s < 0.0 else "earlier"
+    return [_MISDATED.format(1e3 * abs(time_offset_s), when)] if time_offset_s else []
 
 
 def _mount_in_words(R_mount: Array) -> list[str]:

@@ -97,14 +97,17 @@ def with_features(config: Config, name: str | None, model: Path | None) -> Confi
     return config.model_copy(update={"features": chosen})
 
 
-def with_camera(config: Config, mount_sigma_rad: float, focal_sigma_ratio: float) -> Config:
-    """The settings with how well mount and focal length are known, as the camera's file says."""
+def with_camera(
+    config: Config, mount_sigma_rad: float, focal_sigma_ratio: float, time_offset_sigma_s: float
+) -> Config:
+    """The settings with how well mount, lens and dates are known, as the camera's file says."""
     ekf = replace(
         config.ekf,
         mount_sigma_rad=mount_sigma_rad,
         # By eye a camera is turned by more than it is tilted.
         mount_turn_sigma_rad=max(config.ekf.mount_turn_sigma_rad, 2.0 * mount_sigma_rad),
         focal_sigma_ratio=focal_sigma_ratio,
+        time_offset_sigma_s=time_offset_sigma_s,
     )
     return config.model_copy(update={"ekf": ekf})
 

@@ -18,13 +18,14 @@ import numpy as np
 from vwnav.estimation.beginning.first_fix import UNKNOWN_AGL_M, FirstFix, start_at
 from vwnav.estimation.beginning.lens import LensCheck
 from vwnav.estimation.beginning.mount import LEAST_TILT_RAD, tilted
-from vwnav.estimation.beginning.other_camera import found_by, found_in
+from vwnav.estimation.beginning.other_camera import found_by, found_in, seen_by
 from vwnav.estimation.beginning.sequences import Sequences
 from vwnav.estimation.beginning.starts import Start, left_by
 from vwnav.estimation.disputes import is_told
 from vwnav.estimation.events import CameraReturned, Exposed, NedFix, Recalibrated, Untracked
 from vwnav.estimation.filtering import Filtering
 from vwnav.estimation.inertial.attitudes import yaw_of
+from vwnav.estimation.inertial.dates import LEAST_OFFSET_S, misdated
 from vwnav.estimation.odometry_gate import CAMERA_GONE_S, MountCheck
 from vwnav.estimation.states import States, Verdict
 from vwnav.geometry.camera import to_gray
@@ -84,8 +85,7 @@ class Pipeline:
             sigma_tilt_rad: attitude error that the localizer puts into a fix's covariance.
             config: rates and limits.
             executor: runs the matching: in a thread on board, inline in replay.
-            recalibrated: makes features and odometry anew for a camera that is not as it was
-                told; None where no telemetry could tell of that.
+            recalibrated: makes both anew for another camera; None where no telemetry tells of it.
         """
         self.local_frame, self._sigma_tilt_rad = local_frame, sigma_tilt_rad
         self._features, self._odometry, self._ekf = features, odometry, ekf
@@ -132,8 +132,7 @@ class Pipeline:
     def covers(self, t_s: float) -> bool:
         """Whether telemetry has reached an exposure: waiting tells no more of the attitude there.
 
-        An image handed to `step` before that has an attitude carried on from before it, or none.
-        Wait no longer than `ATTITUDE_WAIT_S` after the exposure.
+        An image handed to `step` before has a guess, or none; wait `ATTITUDE_WAIT_S` at most.
         """
         with self._lock:
             return self._ekf.covers(t_s)
@@ -145,13 +144,13 @@ class Pipeline:
         of a gap to the same side, which no covariance of a fix can say.
         """
         image = frame if frame.image.ndim == 2 else replace(frame, image=to_gray(frame.image))
+        if self._camera is not None:
+            frame = image = seen_by(self._camera, image)
         gone_s, self._image_s = frame.t_s - self._image_s, frame.t_s
         if gone_s > CAMERA_GONE_S and self.accepted > 0 and self._recalibrated is not None:
             self._lens.ask_again()
             with self._lock:
                 self._ekf.handle(CameraReturned(frame.t_s))
-        if self._camera is not None and self._camera.mirrored:
-            image = replace(image, image=np.ascontiguousarray(image.image[:, ::-1]))
         self.link_rests.wait(_GIVES_WAY_S)
         with self._lock:
             attitude = None if self._ekf.counts_heading else self._ekf.attitudes.at(frame.t_s)
@@ -168,16 +167,12 @@ class Pipeline:
         return StepResult(frame.t_s, motion, outcome, self.estimate(frame.t_s))
 
     def _track(
-        self,
-        frame: Frame,
-        attitude: Attitude | None,
-        R_ned_body: Array | None,
-        now: Estimate | None,
+        self, frame: Frame, held: Attitude | None, R_ned_body: Array | None, now: Estimate | None
     ) -> OdometryMotion | Rejected:
         """Motion since the keyframe. In a video alone the images' own turning is the gyro."""
         motion = self._odometry.step(frame, R_ned_body, now.agl_m if now else UNKNOWN_AGL_M)
         if self._lost:
-            self._sequences.follow(motion, attitude or self._odometry.counted_attitude(frame.t_s))
+            self._sequences.follow(motion, held or self._odometry.counted_attitude(frame.t_s))
         if now is None and isinstance(motion, OdometryMotion):
             motion = Rejected(frame.t_s, RejectReason.NOT_TRIED, "height above ground unknown")
         self.link_rests.wait(_GIVES_WAY_S)
@@ -215,10 +210,15 @@ class Pipeline:
         if now is not None and now.agl_m < MIN_AGL_M and now.sigma_agl_m < UNSURE_AGL_M:
             return None
         state = self._ekf.state
+        off_s = 0.0 if state is None else abs(state.x[States.TIME_OFFSET])
         if state is not None and self._lens.is_open and self._lens.told_by_ways(state):
             self._recalibrate(Recalibrated(state.t_s))
         elif state is not None and np.hypot(*state.x[States.CAMERA_TILT]) > LEAST_TILT_RAD:
             self._recalibrate(tilted(state))
+        elif state and off_s > LEAST_OFFSET_S and (event := misdated(state, frame.t_s)):
+            self._mount.redated()
+            self._recalibrate(event)
+            return None
         prior = self._prior(now, R_ned_body)
         begins = state is None or not state.position_known or self._first_fix.doubted
         if begins:

@@ -14,11 +14,13 @@ class FoundCamera(NamedTuple):
         focal_ratio: of its focal length to the calibrated one.
         mirrored: its images are, left to right: 1, else 0.
         R_mount: (9,) rotation in the body from the mount that was told, row by row.
+        time_offset_s: what is to be added to the dates of its images besides.
     """
 
     focal_ratio: float
     mirrored: float
     R_mount: tuple[float, ...]
+    time_offset_s: float = 0.0
 
 
 class Learned(NamedTuple):

@@ -9,13 +9,13 @@ import pytest
 from vwnav.bench.estimator.run import play
 from vwnav.bench.estimator.streams import MeasurementEvent, sense
 from vwnav.bench.estimator.world import FilterWorld, fly
+from vwnav.estimation.beginning.misled import apply_misled
 from vwnav.estimation.beginning.starts import Start, first_variance
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.ekf import Ekf
 from vwnav.estimation.events import Misled, NedFix
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.imu import ImuHistory
-from vwnav.estimation.odometry import apply_misled
 from vwnav.estimation.odometry_gate import OdometryGate
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
 from vwnav.types import Attitude, Height, ImuSample, OdometryMotion, Range

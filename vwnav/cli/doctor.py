@@ -195,6 +195,9 @@ def _calibration(path: Path) -> Check:
     detail += f"; focal length to {100.0 * camera.sigma_focal_ratio:.1f} %"
     if not {"sigma_fx_px", "sigma_focal_ratio"} & set(found):
         detail += ": nobody measured it (vwnav calibrate camera)"
+    detail += f"; dates of pictures to {1e3 * camera.sigma_time_offset_s:.0f} ms"
+    if "sigma_time_offset_s" not in found:
+        detail += ": nobody measured them, a flight learns them (vwnav calibrate mount)"
     if camera.readout_s is None:
         detail += "; read-out not known: it is learned in the first turns and brakes of a flight"
     return Check("calibration", "PASS" if plausible else "WARN", detail)

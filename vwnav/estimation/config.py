@@ -26,6 +26,7 @@ class EkfConfig(Settings):
     mount_sigma_rad: Angle = math.radians(0.2)  # per axis
     mount_turn_sigma_rad: Angle = math.radians(1.5)  # about down: a turned one shows no tilt
     focal_sigma_ratio: Share = 0.001
+    time_offset_sigma_s: Annotated[float, Within(0.0, 2.0, above=True)] = 0.04  # of its dates
     # Of fixes, for good
     fix_lean_rad: Angle = math.radians(0.2)  # per axis, alike in every turn: 17 cm at 50 m
     # Of sensors and air
@@ -157,6 +158,7 @@ class EkfConfig(Settings):
             mount_turn_sigma_rad=math.radians(0.01),
             fix_lean_rad=math.radians(0.01),
             focal_sigma_ratio=1e-4,
+            time_offset_sigma_s=1e-6,
             heading_sigma_rad=math.pi,
             thrust_aided=False,
             odometry_turns_attitude=True,

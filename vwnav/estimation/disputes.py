@@ -8,6 +8,7 @@ import numpy as np
 from vwnav.estimation.beginning.map_error import LearnedMapError
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.inertial.attitudes import level_axes
+from vwnav.estimation.inertial.integrals import white_acceleration
 from vwnav.estimation.states import (
     CHI_SQUARE_GATE,
     FilterState,
@@ -61,6 +62,18 @@ def height_opened(state: FilterState, off_m: float) -> FilterState:
     G[[States.DOWN, States.ANCHOR_DOWN, States.BARO]] = off_m
     G[States.EXPOSED_AGL] = -off_m
     return state._replace(P=state.P + np.outer(G, G))
+
+
+def motion_opened(state: FilterState, span_s: float, config: EkfConfig) -> FilterState:
+    """What an aircraft may do in a time in which no image tells its way, beyond the usual.
+
+    The usual acceleration is that of a steady flight: what hides the way may be what the aircraft
+    does, and a turn within seconds changes a velocity by twice itself.
+    """
+    P = state.P.copy()
+    level, vertical = config.lost_noise_m_s2**2, config.lost_climb_noise_m_s2**2
+    P[States.MOTION, States.MOTION] += white_acceleration(level, vertical, span_s)
+    return state._replace(P=P)
 
 
 def range_doubted(state: FilterState, drawn_m: float = 0.0) -> FilterState:

@@ -69,7 +69,7 @@ class Untracked:
 
 @dataclass(frozen=True, slots=True)
 class Recalibrated:
-    """From then on images are seen with the focal length, or the mount, that they have shown.
+    """From then on images are seen with the focal length, mount or dates that they have shown.
 
     Attributes:
         turned_rad, sigma_turned_rad: by how much the mount is turned for that, clockwise as seen
@@ -77,6 +77,7 @@ class Recalibrated:
         forward_rad, right_rad: by how much it is tilted for that, about the body's axes.
         knocked: it has turned just then; else it was so from the start, or nobody knows since when.
         mirrored: they are left to right, or not any more: taken the other way round from then on.
+        redated_s: what is added to their dates.
     """
 
     t_s: float
@@ -86,6 +87,7 @@ class Recalibrated:
     right_rad: float = 0.0
     knocked: bool = False
     mirrored: bool = False
+    redated_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

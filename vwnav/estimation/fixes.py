@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,46 +63,73 @@ class _PoseSlices:
     agl: int | None
 
 
+class _Compass(NamedTuple):
+    """By how much the autopilot's heading is off, with one sigma, and how fast it turns then."""
+
+    off_rad: float
+    sigma_rad: float
+    turns_rad_s: float
+
+
 _NOW = _PoseSlices(States.POSITION_NE, States.HEADING_BIAS, States.TILT, None)
 _THEN = _PoseSlices(
     States.EXPOSED_POSITION, States.EXPOSED_HEADING_BIAS, States.EXPOSED_TILT, States.EXPOSED_AGL
 )
 
 
-def apply_fix(state: FilterState, fix: NedFix, context: Context) -> tuple[FilterState, Innovation]:
+def apply_fix(
+    state: FilterState, fix: NedFix, context: Context, late: bool = False
+) -> tuple[FilterState, Innovation]:
     """Fuse a fix at its own time: heading and AGL only of one whose position is believed.
 
     Of one that is turned further than a compass errs nothing is believed before several are: either
     the compass looks the other way, or ground that looks alike has been taken for this.
+
+    One that is `late` is of the image whose pose is cloned: with the clone all that came since
+    moves. The map's own error there and here is not the same by now, so it is noise besides.
     """
-    attitudes, config = context.attitudes, context.config
-    # Against an attitude that is only held, a heading would take a turn for the compass' error.
-    exposure = attitudes.exposure(fix.t_s)
+    pose, exposure = _NOW, context.attitudes.exposure(fix.t_s)
+    exposure = exposure._replace(velocity_m_s=state.x[States.VELOCITY])
+    if late:
+        if state.exposure is None or state.exposure.t_s != fix.t_s:
+            return state, Innovation(Verdict.TOO_LATE)
+        pose, exposure = _THEN, state.exposure
     parts: list[Innovation] = []
-    compass: tuple[float, float] | None = None  # its error, and how sure that is
+    compass: _Compass | None = None
+    # Against an attitude that is only held, a heading would take a turn for the compass' error.
     if exposure.told and fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
-        compass = wrap_pi(exposure.yaw_rad - fix.yaw_rad), fix.sigma_yaw_rad
+        off_rad, turns_rad_s = wrap_pi(exposure.yaw_rad - fix.yaw_rad), exposure.turns_rad_s[2]
+        compass = _Compass(off_rad, fix.sigma_yaw_rad, float(turns_rad_s))
     if compass is not None and state.heading_known:
-        off_rad = compass[0] - float(_SHOWN @ state.x[[_NOW.yaw, *_SHARED]])
+        off_rad = compass.off_rad - float(_SHOWN @ state.x[[pose.yaw, *_SHARED]])
         if math.cos(off_rad) < _TURNED_COS:
-            found, part = _apply_heading(state, *compass, config, _NOW.yaw)
+            found, part = _apply_heading(state, compass, context.config, pose.yaw)
             if not part.accepted:
                 return found, part
             if part.verdict is Verdict.RELOCATED:
                 state, parts, compass = found, [part], None
-    position = _position(state, fix, exposure, _NOW)
-    if not exposure.told:
+    position = _position(state, fix, exposure, pose)
+    if late:
+        position = replace(position, R=position.R + state.map_error.sigma_m**2 * np.eye(2))
+    elif not exposure.told:
         position = _unseen(state, position, fix)
     state, innovation = _apply_position(state, fix, position, context)
     if not innovation.accepted:
         return state, innovation
     if compass is not None:
-        state, part = _apply_heading(state, *compass, config, _NOW.yaw)
+        state, part = _apply_heading(state, compass, context.config, pose.yaw)
         parts.append(part)
-    if fix.agl_m is not None and fix.sigma_agl_m is not None:
-        state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, config, by_map=True)
-        parts.append(part)
-    return state, replace(innovation, parts=tuple(parts))
+    if fix.agl_m is None or fix.sigma_agl_m is None:
+        return state, replace(innovation, parts=tuple(parts))
+    if pose.agl is None:
+        state, part = apply_agl(state, fix.agl_m, fix.sigma_agl_m, context.config, by_map=True)
+    else:
+        H = np.zeros((1, States.SIZE))
+        H[0, pose.agl] = 1.0
+        H[0, [States.MAP_SCALE, States.FOCAL]] = float(state.x[pose.agl])
+        R = np.array([[fix.sigma_agl_m**2 + state.relief_m**2]])
+        state, part = fuse(state, Measurement(fix.agl_m - H @ state.x, H, R))
+    return state, replace(innovation, parts=(*parts, part))
 
 
 def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
@@ -116,44 +144,8 @@ def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterStat
     G[States.EXPOSED_AGL] = -G[States.DOWN] - G[States.TERRAIN]
     P = G @ state.P @ G.T
     P[States.EXPOSED, States.EXPOSED] += np.diag(_CLONE_SIGMAS**2)
+    exposure = exposure._replace(velocity_m_s=state.x[States.VELOCITY])
     return state._replace(x=G @ state.x, P=P, exposure=exposure)
-
-
-def apply_late_fix(
-    state: FilterState, fix: NedFix, context: Context
-) -> tuple[FilterState, Innovation]:
-    """Fuse the fix of the image whose pose is cloned: with the clone all that came since moves.
-
-    The map's own error there and here is not the same by now, so it is noise besides.
-    """
-    config, exposure = context.config, state.exposure
-    if exposure is None or exposure.t_s != fix.t_s:
-        return state, Innovation(Verdict.TOO_LATE)
-    compass: tuple[float, float] | None = None
-    if fix.yaw_rad is not None and fix.sigma_yaw_rad is not None:
-        compass = wrap_pi(exposure.yaw_rad - fix.yaw_rad), fix.sigma_yaw_rad
-    if compass is not None and state.heading_known:
-        off_rad = compass[0] - float(_SHOWN @ state.x[[_THEN.yaw, *_SHARED]])
-        if math.cos(off_rad) < _TURNED_COS:
-            found, part = _apply_heading(state, *compass, config, _THEN.yaw)
-            if not part.accepted:
-                return found, part
-            if part.verdict is Verdict.RELOCATED:
-                state, compass = found, None
-    position = _position(state, fix, exposure, _THEN)
-    position = replace(position, R=position.R + state.map_error.sigma_m**2 * np.eye(2))
-    state, innovation = _apply_position(state, fix, position, context)
-    if not innovation.accepted:
-        return state, innovation
-    if compass is not None:
-        state, _ = _apply_heading(state, *compass, config, _THEN.yaw)
-    if fix.agl_m is not None and fix.sigma_agl_m is not None:
-        H = np.zeros((1, States.SIZE))
-        H[0, _THEN.agl] = 1.0
-        H[0, [States.MAP_SCALE, States.FOCAL]] = float(state.x[_THEN.agl])
-        R = np.array([[fix.sigma_agl_m**2 + state.relief_m**2]])
-        state, _ = fuse(state, Measurement(fix.agl_m - H @ state.x, H, R))
-    return state, innovation
 
 
 def _position(
@@ -167,7 +159,8 @@ def _position(
 
     With the rotation error d = (d_n, d_e) of the attitude, the nadir point that it shows lies
     AGL (-d_e, d_n) from the true one. A focal length taken for too long by a share f finds it by
-    that share too far from the optical axis, which leans by a: -f AGL a from the true one.
+    that share too far from the optical axis, which leans by a: -f AGL a from the true one. One of
+    an image exposed later than dated by o is farther on by o v, and the attitude short by o w.
     """
     yaw_rad = exposure.yaw_rad - float(state.x[pose.yaw])
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
@@ -179,6 +172,7 @@ def _position(
     H[:, States.CAMERA_TURN] = lever @ exposure.lean
     H[:, States.MAP] = np.eye(2)
     H[:, States.FOCAL] = -agl_m * np.array([[c, -s], [s, c]]) @ exposure.lean
+    H[:, States.TIME_OFFSET] = exposure.velocity_m_s[:2] - lever @ exposure.turns_rad_s[:2]
     residual = fix.position_ne_m - H @ state.x
     # With the height that the fix itself was computed with: the tilt's share is most of the whole.
     agl_m = agl_m if fix.agl_m is None else fix.agl_m
@@ -191,7 +185,7 @@ def _position(
 def _unseen(state: FilterState, position: Measurement, fix: NedFix) -> Measurement:
     """No attitude that is believed tells how the image was turned: by how much, nobody knows."""
     H = position.H.copy()
-    H[:, States.TILT] = H[:, [States.CAMERA_TURN]] = 0.0
+    H[:, States.TILT] = H[:, [States.CAMERA_TURN]] = H[:, [States.TIME_OFFSET]] = 0.0
     wide_m2 = (_UNSEEN_RAD * max(state.agl_m, 0.0)) ** 2 * np.eye(2)
     residual = fix.position_ne_m - H @ state.x
     return Measurement(residual, H, fix.covariance_ne_m2 + wide_m2)
@@ -262,7 +256,7 @@ def _alone(state: FilterState, measurement: Measurement, open_: float) -> Measur
 
 
 def _apply_heading(
-    state: FilterState, bias_rad: float, sigma_rad: float, config: EkfConfig, yaw: int
+    state: FilterState, compass: _Compass, config: EkfConfig, yaw: int
 ) -> tuple[FilterState, Innovation]:
     """Fuse the heading bias (state `yaw`) that a fix shows: less what the map is turned by.
 
@@ -270,8 +264,9 @@ def _apply_heading(
     """
     H = np.zeros((1, States.SIZE))
     H[0, [yaw, *_SHARED]] = _SHOWN
-    residual = np.array([wrap_pi(float(bias_rad - H[0] @ state.x))])
-    measurement = Measurement(residual, H, np.array([[sigma_rad**2]]))
+    H[0, States.TIME_OFFSET] = -compass.turns_rad_s
+    residual = np.array([wrap_pi(float(compass.off_rad - H[0] @ state.x))])
+    measurement = Measurement(residual, H, np.array([[compass.sigma_rad**2]]))
     jump = np.zeros((States.SIZE, 1))
     jump[[States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, _THEN.yaw]] = 1.0
     if not state.heading_known:

@@ -93,7 +93,9 @@ def _or_none(read: Callable[[Any], Any]) -> Callable[[Any], Any]:
 
 def learned_of(t_s: float, mean: Any, covariance: Any, camera: Any = None) -> Learned:
     """What was learned, of its JSON; one of before has no camera."""
-    found = None if camera is None else FoundCamera(camera[0], camera[1], tuple(camera[2]))
+    found = (
+        None if camera is None else FoundCamera(camera[0], camera[1], tuple(camera[2]), *camera[3:])
+    )
     return Learned(t_s, tuple(mean), tuple(covariance), found)
 
 

@@ -5,18 +5,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from vwnav.estimation.beginning.starts import first_variance
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.context import Context, patch_below
-from vwnav.estimation.disputes import convinces, remember
-from vwnav.estimation.events import Misled, NewKeyframe
+from vwnav.estimation.disputes import convinces, motion_opened, remember
+from vwnav.estimation.events import NewKeyframe
 from vwnav.estimation.inertial.attitudes import (
-    TURNING_RAD_S,
     AttitudeHistory,
     level_axes,
     true_from_autopilot,
 )
-from vwnav.estimation.inertial.integrals import Exposure, white_acceleration
+from vwnav.estimation.inertial.integrals import Exposure
 from vwnav.estimation.states import (
     FilterState,
     Innovation,
@@ -24,27 +22,22 @@ from vwnav.estimation.states import (
     States,
     Verdict,
     fuse,
-    tells_heading,
 )
 from vwnav.geometry.rotations import wrap_pi
 from vwnav.types import Array, OdometryMotion
 
 _FAR_OFF, _LEAN_SHARE = 0.05, 0.3  # of a focal length; of what it makes of a change of lean
+_RATE_SHARE = 0.3  # of how fast it turns: within an error of the dates that changes
 _CLONE_SIGMA_RAD = 1e-4  # a copy without any error of its own would make P singular
 _CLONE_SIGMA_M = 0.01
 # What odometry measures in units of height.
 _SCALED = np.r_[States.POSITION_NE, States.VELOCITY, States.ACCELERATION, States.ANCHOR_NE]
 _LEAST_AGL_M = 0.1
 QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])  # a rotation about north shows as east
-# What of sensors and air the ways teach; that of the vertical is the barometer's.
-_TAUGHT = np.r_[
-    States.ACCELERATION, States.TILT, States.CAMERA_TILT, States.FIX_LEAN,
-    States.ACCELEROMETER_BIAS_LEVEL, States.WIND_FORCE, States.GUST_FORCE, States.DRAG,
-    States.FOCAL, States.SLOPE,
-]  # fmt: skip
-_ATTITUDE_ERRORS = tuple(np.r_[States.TILT, States.ANCHOR_TILT, States.CAMERA_TILT].tolist())
+_SLOPE_UNTOLD = tuple(
+    np.r_[States.TILT, States.ANCHOR_TILT, States.CAMERA_TILT, States.TIME_OFFSET].tolist()
+)
 _HEADINGS = (States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.CAMERA_TURN)
-_MISLED_M_S = 2.0  # by which wrong ways that were believed may have turned the velocity
 _APART_M_S = 20.0  # by which refused ways that agree may part
 _WAYS_AGREE = 6
 _GRASS_BELOW_M = 10.0  # so low blades and shadows stand out, and nothing tells but them
@@ -73,7 +66,8 @@ def apply_keyframe(
     P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
     P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2 + state.relief_m**2
     P[States.ANCHOR_TURN, States.ANCHOR_TURN] = event.sigma_yaw_rad**2
-    return state._replace(x=G @ state.x, P=P, anchor=attitudes.exposure(event.t_s))
+    anchor = attitudes.exposure(event.t_s)._replace(velocity_m_s=state.x[States.VELOCITY])
+    return state._replace(x=G @ state.x, P=P, anchor=anchor)
 
 
 def apply_displacement(
@@ -86,13 +80,12 @@ def apply_displacement(
     if anchor is None or anchor.t_s != motion.t0_s:
         return state, Innovation(Verdict.NO_ANCHOR)
     if not state.heading_known:
-        P = state.P + _unseen_motion(motion.t1_s - before_s, config)
-        return state._replace(P=P), Innovation(Verdict.HEADING_UNKNOWN)
+        state = motion_opened(state, motion.t1_s - before_s, config)
+        return state, Innovation(Verdict.HEADING_UNKNOWN)
     parts: tuple[Innovation, ...] = ()
     exposure = attitudes.exposure(motion.t1_s)
     if not config.odometry_turns_attitude:
-        turned_rad = exposure.yaw_rad - anchor.yaw_rad
-        state, heading = fuse(state, _turn(state, motion, turned_rad, config))
+        state, heading = fuse(state, _turn(state, motion, anchor, exposure, config))
         parts = (heading,)
     keyframe_agl_m = -state.x[States.ANCHOR_DOWN] - state.x[States.ANCHOR_TERRAIN]
     agl_m = max(float(keyframe_agl_m), _LEAST_AGL_M)
@@ -100,18 +93,18 @@ def apply_displacement(
     if relief is not None:
         change_m2 = (relief * agl_m) ** 2 - state.relief_m**2
         state = state._replace(relief_m=math.sqrt(state.relief_m**2 + _NEWEST * change_m2))
-    displacement = _displacement(state, motion, agl_m, anchor, exposure.lean, config)
+    displacement = _displacement(state, motion, agl_m, anchor, exposure, config)
     fused, innovation = fuse(state, displacement)
     if innovation.verdict is Verdict.FUSED:
         fused = _in_scale(state, fused, agl_m)._replace(rejected_ways=())
-        fused = _apply_slope(fused, motion, anchor.yaw_rad, context)
+        fused = _apply_slope(fused, motion, anchor, context)
     else:
         fused = _rejected(state, displacement, config)
     return fused, replace(innovation, parts=parts)
 
 
 def _apply_slope(
-    state: FilterState, motion: OdometryMotion, yaw_rad: float, context: Context
+    state: FilterState, motion: OdometryMotion, anchor: Exposure, context: Context
 ) -> FilterState:
     """Fuse how the ground rises, as the way shows it: less what the terrain table knows.
 
@@ -134,57 +127,13 @@ def _apply_slope(
     state = state._replace(P=P)
     H = np.zeros((2, States.SIZE))
     H[:, States.SLOPE] = np.eye(2)
-    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    c, s = math.cos(anchor.yaw_rad), math.sin(anchor.yaw_rad)
     by_tilt = turn @ np.array([[s, c], [-c, s]])
     H[:, States.ANCHOR_TILT] = H[:, States.CAMERA_TILT] = by_tilt
+    H[:, States.TIME_OFFSET] = -by_tilt @ anchor.turns_rad_s[:2]
     R = turn @ motion.slope_covariance @ turn.T + config.slope_seen**2 * np.eye(2)
     residual = turn @ motion.slope_ne - table - H @ state.x
-    return fuse(state, Measurement(residual, H, R, considered=_ATTITUDE_ERRORS))[0]
-
-
-def apply_untracked(state: FilterState, config: EkfConfig) -> FilterState:
-    """Be as unsure as an aircraft may have turned, and changed its velocity, since it was tracked.
-
-    Of a video alone: its heading is counted from image to image, and what lies between two that
-    do not join is not counted. Turns last: the sigma of the heading grows with the time since the
-    last image that was tracked, t, by d(w t)^2. One that may be anything is not known.
-    """
-    before_s, now_s = state.exposed_s - state.tracked_s, state.t_s - state.tracked_s
-    P = state.P + _unseen_motion(now_s - before_s, config)
-    P[States.HEADING_BIAS, States.HEADING_BIAS] += TURNING_RAD_S**2 * (now_s**2 - before_s**2)
-    known = state.heading_known and tells_heading(P)
-    return state._replace(P=P, heading_known=known, exposed_s=state.t_s)
-
-
-def apply_misled(state: FilterState, event: Misled, config: EkfConfig) -> FilterState:
-    """Forget what wrong ways have taught of errors, air and velocity.
-
-    They had been believed where they happened to agree. What of the sensors and of the wind was
-    learned from them is as at first; the velocity may have gone wrong evenly all the while, and
-    the place with it.
-    """
-    x, P = state.x.copy(), state.P.copy()
-    x[_TAUGHT] = 0.0
-    x[States.DRAG] = config.drag_per_s
-    P[_TAUGHT], P[:, _TAUGHT] = 0.0, 0.0
-    P[_TAUGHT, _TAUGHT] = first_variance(config)[_TAUGHT]
-    span_s = state.t_s - event.since_s
-    G = np.zeros((States.SIZE, 2))
-    G[States.VELOCITY_NE] = _MISLED_M_S * np.eye(2)
-    G[States.POSITION_NE] = 0.5 * span_s * _MISLED_M_S * np.eye(2)
-    return state._replace(x=x, P=P + G @ G.T)
-
-
-def _unseen_motion(span_s: float, config: EkfConfig) -> Array:
-    """(n, n) what an aircraft may do in a time in which no image tells its way, beyond the usual.
-
-    The usual acceleration is that of a steady flight: what hides the way may be what the aircraft
-    does, and a turn within seconds changes a velocity by twice itself.
-    """
-    Q = np.zeros((States.SIZE, States.SIZE))
-    level, vertical = config.lost_noise_m_s2**2, config.lost_climb_noise_m_s2**2
-    Q[States.MOTION, States.MOTION] = white_acceleration(level, vertical, span_s)
-    return Q
+    return fuse(state, Measurement(residual, H, R, considered=_SLOPE_UNTOLD))[0]
 
 
 def _rejected(state: FilterState, way: Measurement, config: EkfConfig) -> FilterState:
@@ -236,14 +185,24 @@ def _in_scale(before: FilterState, after: FilterState, agl_m: float) -> FilterSt
 
 
 def _turn(
-    state: FilterState, motion: OdometryMotion, turned_rad: float, config: EkfConfig
+    state: FilterState,
+    motion: OdometryMotion,
+    anchor: Exposure,
+    exposure: Exposure,
+    config: EkfConfig,
 ) -> Measurement:
-    """What the autopilot turned more than the image did is the change of its heading bias."""
+    """What the autopilot turned more than the image did is the change of its heading bias.
+
+    Or it turns faster now, and the image was exposed later than it says.
+    """
+    off, faster_rad_s = States.TIME_OFFSET, float((exposure.turns_rad_s - anchor.turns_rad_s)[2])
     H = np.zeros((1, States.SIZE))
     H[0, [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.ANCHOR_TURN]] = 1.0, -1.0, 1.0
-    change_rad = turned_rad - motion.yaw_increment_rad
+    H[0, off] = -faster_rad_s
+    change_rad = exposure.yaw_rad - anchor.yaw_rad - motion.yaw_increment_rad
     residual = wrap_pi(float(change_rad - H[0] @ state.x))
     variance = (1.0 - config.anchor_share) * motion.sigma_yaw_rad**2
+    variance += (_RATE_SHARE * faster_rad_s) ** 2 * float(state.x[off] ** 2 + state.P[off, off])
     return Measurement(np.array([residual]), H, np.array([[variance]]))
 
 
@@ -252,7 +211,7 @@ def _displacement(
     motion: OdometryMotion,
     agl_m: float,
     anchor: Exposure,
-    lean: Array,
+    exposure: Exposure,
     config: EkfConfig,
 ) -> Measurement:
     """The way in units of the keyframe's AGL, scaled by the AGL believed now.
@@ -264,9 +223,10 @@ def _displacement(
     share, and a change of lean (2,) from a0 to a1 by f (a0 - a1) to one side. Of a turn by that
     angle the far side would grow; here it shrinks, so that images which see that (what they take
     for motion is a share s of a turn) think that they have turned back: a way of
-    (2 - s) f AGL0 (a0 - a1).
+    (2 - s) f AGL0 (a0 - a1). Of images that were exposed later than dated by o, with the velocity v
+    and the turn rate w, the way is longer by o (v1 - v0), and both attitudes are short by o w.
     """
-    x = state.x
+    x, lean, off = state.x, exposure.lean, States.TIME_OFFSET
     turn = true_from_autopilot(float(x[States.ANCHOR_HEADING_BIAS] + x[States.CAMERA_TURN]))
     way_m: Array = turn @ motion.displacement_ned_m * (agl_m / motion.agl_m)
     # The Jacobian is that of the way predicted: with the way measured in it, its noise would be in
@@ -293,11 +253,14 @@ def _displacement(
     H[:, States.CAMERA_TURN] = H[:, States.ANCHOR_HEADING_BIAS] + by_turn
     shifted_m = (2.0 - motion.tilt_share) * agl_m * (level0 @ anchor.lean - level1 @ lean)
     H[:2, States.FOCAL] = shifted_m - predicted_m[:2]
+    short_m_s = by_tilt0 @ anchor.turns_rad_s[:2] + by_tilt1 @ exposure.turns_rad_s[:2]
+    short_m_s += H[:, States.ANCHOR_HEADING_BIAS] * anchor.turns_rad_s[2]
+    H[:, off] = moved_m_s = x[States.VELOCITY] - anchor.velocity_m_s - short_m_s
     residual = way_m - x[States.POSITION] + x[States.ANCHOR_POSITION]
     residual -= by_tilt0 @ x[States.ANCHOR_TILT] + by_tilt1 @ x[States.TILT]
     residual -= H[:, States.CAMERA_TILT] @ x[States.CAMERA_TILT]
     residual -= by_turn * x[States.CAMERA_TURN]
-    residual -= H[:, States.FOCAL] * x[States.FOCAL]
+    residual -= H[:, States.FOCAL] * x[States.FOCAL] + moved_m_s * x[off]
     scale = (1.0 - config.anchor_share) * (agl_m / motion.agl_m) ** 2
     R = scale * turn @ motion.covariance_ned_m2 @ turn.T
     R[2, 2] += (config.zoom_share * down_m) ** 2
@@ -307,6 +270,8 @@ def _displacement(
     # What a focal length that is far off, or may be, makes of a change of lean is known to a third.
     far2 = float(x[States.FOCAL]) ** 2 + float(state.P[States.FOCAL, States.FOCAL]) - _FAR_OFF**2
     R[:2, :2] += (_LEAN_SHARE**2 * max(far2, 0.0)) * np.outer(shifted_m, shifted_m)
+    # How fast it turns within an error of the dates, the moment before an image tells to a third.
+    R += _RATE_SHARE**2 * float(x[off] ** 2 + state.P[off, off]) * np.outer(moved_m_s, moved_m_s)
     # The heading would be told by how the aircraft moves when it tilts, but wind moves it too: at
     # take-off, when the wind takes hold, that turned the heading by up to 25 degrees.
     return Measurement(residual, H, R, considered=_HEADINGS)

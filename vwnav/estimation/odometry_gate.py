@@ -41,8 +41,7 @@ _DOUBTED_HARDLY = 0.75  # where most are further off ...
 _NEAR_NIS = 11.345  # ... than 99 % of right ones are (three degrees of freedom)
 _AGREE_S = 2.4  # for so long they have to agree to be believed again ...
 _BEARING = 3  # map fixes that bear what ways have told
-_LONGER = 8.0  # times as long when they were lost again ...
-_FORGIVEN_S = 60.0  # ... within this
+_LONGER, _FORGIVEN_S = 8.0, 60.0  # times as long when they were lost again within this
 _NOISE_M = 0.5  # of a way
 _ZOOMED_AGAIN_S = 30.0  # what leaps more often is no lens
 _IMU_OF_NOW_S = 0.2  # so old it may be to have felt an image's way
@@ -129,7 +128,7 @@ class OdometryGate:
         """
         covariance = motion.covariance_ned_m2
         for t_s in (motion.t0_s, motion.t1_s):
-            _, yaw_rad, (forward, right), tilts_rad_s, _ = self._attitudes.exposure(t_s)
+            _, yaw_rad, (forward, right), tilts_rad_s, *_ = self._attitudes.exposure(t_s)
             off_rad = self._config.picture_date_s * tilts_rad_s
             c, s = math.cos(yaw_rad), math.sin(yaw_rad)
             sight_m = motion.agl_m * np.array([c * forward - s * right, s * forward + c * right, 1])
@@ -195,8 +194,9 @@ class OdometryGate:
         return timeline.insert(NewKeyframe(motion.t0_s, covariance, yaw_rad)).accepted
 
     def forgive(self) -> None:
-        """What was refused was right: the IMU that it contradicted is not believed, or stood."""
-        self._begin_anew()
+        """Count anew: what was refused was right, or is of before."""
+        self._seen.clear()
+        self._begun_s = math.inf
 
     @property
     def words(self) -> str:
@@ -217,7 +217,7 @@ class OdometryGate:
         agrees = told.verdict is Verdict.FUSED
         window_s = self._agree_s if self.lost else _WINDOW_S
         if self._seen and t_s - self._seen[-1].t_s > _GAP_S:
-            self._begin_anew()
+            self.forgive()
         if self.lost:
             self._dates.see(motion, self._imu.until(motion.t1_s), state)
             if told.verdict is Verdict.GATED:
@@ -250,12 +250,8 @@ class OdometryGate:
         else:
             return False
         self._lost_s = t_s
-        self._begin_anew()
+        self.forgive()
         return True
-
-    def _begin_anew(self) -> None:
-        self._seen.clear()
-        self._begun_s = math.inf
 
 
 class MountCheck:
@@ -276,6 +272,10 @@ class MountCheck:
         self._tilts = np.zeros((2, 6))  # from the start, and since it broke: sums, as `hangs` asks
         self._tilted_s = math.inf
         self._keyframe_s, self._left = -math.inf, _MOST_OF_ONE
+
+    def redated(self) -> None:
+        """Images of other moments than they said tilted this way and that."""
+        self._tilts[:] = 0.0
 
     def broke(self, t_s: float) -> None:
         """An image could not be followed: the camera may hang otherwise, or be another if gone."""

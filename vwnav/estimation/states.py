@@ -24,9 +24,9 @@ class States:
     """Where each state stands in the vector `x` and in its covariance `P`.
 
     All errors add to their state, the heading bias modulo 2 pi. The attitude itself is the
-    autopilot's stream; its error is three of the states (heading bias and tilt). What an odometry
-    keyframe (anchor) or an image at the map's matching (exposed) is compared with later is cloned
-    when it is taken (stochastic cloning, Roumeliotis and Burdick 2002).
+    autopilot's stream; its error is three of the states (heading bias and tilt). What a keyframe
+    (anchor) or an image that is being matched (exposed) is compared with later is cloned
+    (stochastic cloning, Roumeliotis and Burdick 2002); dates are Li and Mourikis' (2014).
     """
 
     POSITION = slice(0, 3)  # m, NED about the origin
@@ -64,7 +64,7 @@ class States:
     SLOPE = slice(45, 47)  # rise per metre north and east of the ground, beyond the terrain table
     FIX_LEAN = slice(47, 49)  # rad, as TILT, what fixes alone show as one: dates, lens, matching
     CAMERA_TURN = 49  # rad, by how much images show the heading bias for larger: the mount's
-    SIZE = 50
+    TIME_OFFSET, SIZE = 50, 51  # s, by how much images were exposed later than they are dated
 
 
 HEADINGS = [States.HEADING_BIAS, States.ANCHOR_HEADING_BIAS, States.EXPOSED_HEADING_BIAS]

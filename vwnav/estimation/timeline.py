@@ -13,6 +13,7 @@ from itertools import compress
 import numpy as np
 
 from vwnav.estimation.beginning.map_error import LOOK_M
+from vwnav.estimation.beginning.misled import apply_misled, apply_untracked
 from vwnav.estimation.beginning.other_camera import (
     apply_camera_returned,
     apply_lens_doubted,
@@ -40,7 +41,7 @@ from vwnav.estimation.events import (
     Told,
     Untracked,
 )
-from vwnav.estimation.fixes import apply_exposure, apply_fix, apply_late_fix
+from vwnav.estimation.fixes import apply_exposure, apply_fix
 from vwnav.estimation.heights import apply_height, apply_range, apply_stationary
 from vwnav.estimation.inertial.attitudes import LONGEST_GAP_S, is_rotation
 from vwnav.estimation.inertial.dates import of_doubtful_date
@@ -49,8 +50,6 @@ from vwnav.estimation.inertial.imu import is_felt
 from vwnav.estimation.odometry import (
     apply_displacement,
     apply_keyframe,
-    apply_misled,
-    apply_untracked,
 )
 from vwnav.estimation.process import predict
 from vwnav.estimation.states import FilterState, Innovation, States, Verdict
@@ -99,7 +98,7 @@ class Timeline:
 
     def insert(self, event: Event) -> Innovation:
         """Apply an event at its time, and everything after it again."""
-        if isinstance(event, Recalibrated) and event.knocked:
+        if isinstance(event, Recalibrated) and (event.knocked or event.redated_s):
             event = self._knocked(event)
         if event.t_s < self.oldest.t_s:
             return Innovation(Verdict.TOO_LATE)
@@ -235,7 +234,7 @@ def _corrected(
         case Displacement(_, motion):
             return apply_displacement(state, motion, context)
         case LateFix(_, fix):
-            return apply_late_fix(state, fix, context)
+            return apply_fix(state, fix, context, late=True)
         case Exposed():
             return apply_exposure(state, attitudes), Innovation(Verdict.FUSED)
         case Untracked():
@@ -254,7 +253,7 @@ def _corrected(
         case CameraReturned():
             return apply_camera_returned(state), Innovation(Verdict.FUSED)
         case LensDoubted():
-            return apply_lens_doubted(state), Innovation(Verdict.FUSED)
+            return apply_lens_doubted(state, config), Innovation(Verdict.FUSED)
         case NewKeyframe():
             return apply_keyframe(state, event, attitudes), Innovation(Verdict.FUSED)
         case Height():

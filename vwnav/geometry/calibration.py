@@ -28,16 +28,14 @@ from vwnav.types import Array
 
 _NESTING, _MOST_NESTING = ("[", "{", "- ", ":"), 5000  # of YAML; OpenCV writes some dozens
 _MAX_BYTES = 1_000_000
-_LEAST_FOCAL_RATIO = 0.001  # what warming and focusing leave of a measured one
+_LEAST_FOCAL_RATIO, _LEAST_OFFSET_SIGMA_S = 0.001, 0.01  # what the next flight leaves of measured
 _FOCAL_RATIOS = (0.05, 50.0)  # of the longer side: from 170 degrees to one, and some more
 _MOST_ASPECT = 2.0  # of a pixel's sides: of pictures that were squeezed, 4:3 to 16:9 say
 _MIDDLE = 0.25, 0.75  # shares of a side: farther off is the calibration of another size
 _NUMBERS = ("fx_px", "fy_px", "cx_px", "cy_px")
 _REQUIRED = ("width_px", "height_px", "model", *_NUMBERS)
-_OPTIONAL = (
-    "distortion", "mount_rpy_deg", "lever_arm_m", "readout_s", "time_offset_s", "sensor_mode",
-    "calibrated",
-)  # fmt: skip
+_OPTIONAL = ("distortion", "mount_rpy_deg", "lever_arm_m", "readout_s", "time_offset_s",
+    "sensor_mode", "calibrated")  # fmt: skip
 _MODELS: dict[str, CameraModel] = {
     "": "pinhole",
     "pinhole": "pinhole",
@@ -171,11 +169,13 @@ def _from_dict(values: Any) -> Camera:
 
 
 def _sigmas(calibrated: dict[str, Any], fx_px: float) -> dict[str, float]:
-    """Of the mount (of roll and pitch the larger) and of the focal length, where they were told."""
+    """Of mount (of roll and pitch the larger), dates and focal length, where they were told."""
     sigmas = {}
     if "sigma_mount_rpy_deg" in calibrated:
         roll, pitch, _ = _numbers(calibrated, "sigma_mount_rpy_deg", (0.0,) * 3)
         sigmas["sigma_mount_rad"] = math.radians(max(roll, pitch))
+    if (key := "sigma_time_offset_s") in calibrated:
+        sigmas[key] = max(_number(calibrated[key], key), _LEAST_OFFSET_SIGMA_S)
     focal = _focal_sigma_ratio(calibrated, fx_px)
     return sigmas if focal is None else sigmas | {"sigma_focal_ratio": focal}
 

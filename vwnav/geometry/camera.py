@@ -22,6 +22,7 @@ CameraModel = Literal["pinhole", "fisheye"]
 R_BODY_CAMERA_DOWN: Array = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 _DISTORTION_LENGTHS: dict[str, tuple[int, ...]] = {"pinhole": (0, 4, 5), "fisheye": (4,)}
 MAX_TIME_OFFSET_S = 2.0
+UNMEASURED_OFFSET_S = 0.04  # one sigma: a driver's queue, a stream's coder
 MAX_READOUT_S = 0.2
 MAX_MOUNT_SIGMA_RAD = math.radians(30.0)
 UNMEASURED_MOUNT_RAD = math.radians(2.0)  # one sigma of a camera that was put on by hand
@@ -50,6 +51,7 @@ class Camera:
             global one; None where it is not known.
         time_offset_s: what to add to the time that the source says for an image, so that it is
             that of the centre row's exposure on the autopilot's clock.
+        sigma_time_offset_s: one sigma of that.
         sigma_mount_rad: one sigma of the mount's roll and pitch, each.
         sigma_focal_ratio: one sigma of the focal length, as a share of it.
         sensor_mode: in which the images were that were calibrated; None is not told.
@@ -67,6 +69,7 @@ class Camera:
     t_body_camera_m: Array = field(default_factory=lambda: np.zeros(3))
     readout_s: float | None = None
     time_offset_s: float = 0.0
+    sigma_time_offset_s: float = UNMEASURED_OFFSET_S
     sigma_mount_rad: float = UNMEASURED_MOUNT_RAD
     sigma_focal_ratio: float = UNMEASURED_FOCAL_RATIO
     sensor_mode: SensorMode | None = None
@@ -97,16 +100,16 @@ class Camera:
             )
         if not all(math.isfinite(k) for k in self.distortion):
             raise ValueError(f"expected finite distortion coefficients, got {self.distortion}")
-        if not -MAX_TIME_OFFSET_S <= self.time_offset_s <= MAX_TIME_OFFSET_S:
-            raise ValueError(f"expected a time offset within 2 s, got {self.time_offset_s}")
+        offset_s, sigma_s = self.time_offset_s, self.sigma_time_offset_s
+        if not (abs(offset_s) <= MAX_TIME_OFFSET_S and 0.0 < sigma_s <= MAX_TIME_OFFSET_S):
+            raise ValueError(f"expected a time offset within 2 s, got {offset_s} +- {sigma_s}")
         if not 0.0 < self.sigma_mount_rad < MAX_MOUNT_SIGMA_RAD:
             raise ValueError(
                 f"expected a sigma of the mount of 0 to 30 degrees, got {self.sigma_mount_rad} rad"
             )
         if not 0.0 < self.sigma_focal_ratio < MAX_FOCAL_SIGMA_RATIO:
             raise ValueError(
-                f"expected a sigma of the focal length of 0 to half of it, got "
-                f"{self.sigma_focal_ratio:g} of it"
+                f"expected a sigma of the focal length of 0 to 0.5, got {self.sigma_focal_ratio:g}"
             )
         if self.readout_s is not None and not 0.0 <= self.readout_s <= MAX_READOUT_S:
             raise ValueError(f"expected a read-out of 0 to 0.2 s, got {self.readout_s}")

@@ -55,7 +55,9 @@ def replay_source(options: ReplayOptions) -> None:
             height_px, width_px = first.image.shape[:2]
             camera = choose_camera(options.camera, options.hfov_deg, width_px, height_px)
             local_frame = LocalFrame(*pack.middle, 0.0)
-            config = with_camera(config, camera.sigma_mount_rad, camera.sigma_focal_ratio)
+            config = with_camera(
+                config, camera.sigma_mount_rad, camera.sigma_focal_ratio, camera.sigma_time_offset_s
+            )
             config = with_map(config, pack)
             if alone:
                 config = config.model_copy(update={"ekf": config.ekf.without_telemetry()})

@@ -30,7 +30,9 @@ def plan_flight(options: FlyOptions, stack: ExitStack) -> FlightPlan:
     assert options.route is not None
     route = load_route(options.route, "global" if options.route_frame == "global" else "local")
     camera = load_camera(options.camera) if options.camera else default_camera()
-    config = with_camera(config, camera.sigma_mount_rad, camera.sigma_focal_ratio)
+    config = with_camera(
+        config, camera.sigma_mount_rad, camera.sigma_focal_ratio, camera.sigma_time_offset_s
+    )
     features = choose_features(config.features, say)
     pack = stack.enter_context(MapPack.open(_map_path(options, features)))
     config = with_map(config, pack)

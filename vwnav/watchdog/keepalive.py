@@ -22,7 +22,7 @@ from vwnav.vehicle import FoundCamera, Learned
 
 _BEAT = struct.Struct("<4sBBIQ16s")  # magic, flags, system, sequence, epoch, phase; then learned
 _BEAT_MAGIC = b"VWB5"
-_CAMERA = 2 + 9  # numbers of a `FoundCamera`
+_CAMERA = 3 + 9  # numbers of a `FoundCamera`
 _LEARNED_HEAD = struct.Struct("<dHHH")  # when, how many of means, of covariances, of the camera
 _REPORT = struct.Struct("<4sBBIfI")  # magic, state, flags, of which beat, heartbeat age, process
 _REPORT_MAGIC = b"VWR4"
@@ -88,7 +88,7 @@ class Beat:
 
 def _packed(learned: Learned) -> bytes:
     found = learned.camera
-    camera = () if found is None else (found.focal_ratio, found.mirrored, *found.R_mount)
+    camera = () if found is None else (*found[:2], found.time_offset_s, *found.R_mount)
     numbers = (*learned.mean, *learned.covariance, *camera)
     counts = len(learned.mean), len(learned.covariance), len(camera)
     return _LEARNED_HEAD.pack(learned.t_s, *counts) + struct.pack(f"<{len(numbers)}d", *numbers)
@@ -111,7 +111,7 @@ def _unpacked(data: bytes) -> Learned | None:
     if not all(map(math.isfinite, (t_s, *numbers))):
         return None
     mean, covariance, found = numbers[:means], numbers[means:][:covariances], numbers[-camera:]
-    told = FoundCamera(found[0], found[1], found[2:]) if camera else None
+    told = FoundCamera(found[0], found[1], found[3:], found[2]) if camera else None
     return Learned(t_s, mean, covariance, told)
 
 

@@ -1,23 +1,26 @@
 """The camera turns out to be another than it was taken for: its lens, or how it hangs."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from vwnav.estimation.beginning.lens import MOST_RATIO
+from vwnav.estimation.beginning.misled import apply_misled
 from vwnav.estimation.config import EkfConfig
 from vwnav.estimation.disputes import freed
 from vwnav.estimation.events import Misled, Recalibrated
 from vwnav.estimation.inertial.attitudes import level_axes
-from vwnav.estimation.odometry import QUARTER_TURN, apply_misled
+from vwnav.estimation.odometry import QUARTER_TURN
 from vwnav.estimation.states import HEADINGS, FilterState, States
-from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO
+from vwnav.geometry.camera import MAX_TIME_OFFSET_S, UNMEASURED_FOCAL_RATIO
 from vwnav.geometry.rotations import rotation_from_vector, wrap_pi
-from vwnav.types import Array
+from vwnav.types import Array, Frame
 from vwnav.vehicle import FoundCamera, Learned
 
 LENS_DOUBT = 0.2  # one sigma of the focal length of a doubted lens, as a share of it
 _RETURNED_DOUBT = 0.3  # the same of one that was gone
+_REDATED_SHARE = 0.3  # of what was to be added to dates, one sigma of what is still
 _TILT_DOUBT_RAD = 0.12  # per axis, of a mount that may hang otherwise
 
 
@@ -26,13 +29,14 @@ def found_by(event: Recalibrated, focal_ratio: float, before: FoundCamera | None
 
     `focal_ratio`: of its focal length to the calibrated one.
     """
-    R_mount, was_mirrored = np.eye(3), False
+    R_mount, was_mirrored, time_offset_s = np.eye(3), False, event.redated_s
     if before is not None:
         R_mount, was_mirrored = np.reshape(before.R_mount, (3, 3)), bool(before.mirrored)
+        time_offset_s += before.time_offset_s
     off_rad = np.array([event.forward_rad, event.right_rad, event.turned_rad])
     R_mount = rotation_from_vector(off_rad) @ R_mount
     mirrored = float(was_mirrored != event.mirrored)
-    return FoundCamera(focal_ratio, mirrored, tuple(R_mount.ravel().tolist()))
+    return FoundCamera(focal_ratio, mirrored, tuple(R_mount.ravel().tolist()), time_offset_s)
 
 
 def found_in(learned: Learned | None) -> FoundCamera | None:
@@ -40,9 +44,19 @@ def found_in(learned: Learned | None) -> FoundCamera | None:
     camera = None if learned is None else learned.camera
     if camera is None or not 1.0 / MOST_RATIO < camera.focal_ratio < MOST_RATIO:
         return None
+    if not abs(camera.time_offset_s) < MAX_TIME_OFFSET_S:
+        return None
     R = np.reshape(camera.R_mount, (3, 3))
     turns = np.allclose(R @ R.T, np.eye(3), atol=1e-6) and np.linalg.det(R) > 0.0
     return camera if turns else None
+
+
+def seen_by(camera: FoundCamera, frame: Frame) -> Frame:
+    """A frame (gray) as the camera would have sent it that was told: of its date, not mirrored."""
+    frame = replace(frame, t_s=frame.t_s + camera.time_offset_s)
+    if not camera.mirrored:
+        return frame
+    return replace(frame, image=np.ascontiguousarray(frame.image[:, ::-1]))
 
 
 def apply_camera_returned(state: FilterState) -> FilterState:
@@ -53,14 +67,14 @@ def apply_camera_returned(state: FilterState) -> FilterState:
     return freed(state, States.FOCAL, _RETURNED_DOUBT)
 
 
-def apply_lens_doubted(state: FilterState) -> FilterState:
+def apply_lens_doubted(state: FilterState, config: EkfConfig) -> FilterState:
     """Open the focal length, and with it what ways have told so far.
 
     All of it is too short by the share f that the focal length is too long: place and velocity are
     off by f times the way flown, and f times the velocity. So what ways tell of f from now on tells
     how far it was too.
     """
-    doubted = _refocused(state)
+    doubted = _refocused(state, config)
     G = _told_by_ways(state, np.eye(2))
     G[States.FOCAL] = 1.0
     return doubted._replace(P=doubted.P + LENS_DOUBT**2 * np.outer(G, G))
@@ -69,23 +83,31 @@ def apply_lens_doubted(state: FilterState) -> FilterState:
 def apply_recalibrated(state: FilterState, event: Recalibrated, config: EkfConfig) -> FilterState:
     """What is seen from now on is seen by another camera: what it was wrong by before is not left.
 
-    Of the mount, as far as the event says; else of the focal length.
+    Of the mount or the dates, as far as the event says; else of the focal length. An image of the
+    keyframe's time has another date now.
     """
+    if event.redated_s:
+        found = state.x - event.redated_s * (np.arange(States.SIZE) == States.TIME_OFFSET)
+        found_s = _REDATED_SHARE * abs(event.redated_s)
+        return freed(state._replace(x=found, anchor=None), States.TIME_OFFSET, found_s)
     if event.mirrored or event.turned_rad != 0.0:
         return _turned(state, event, config)
     if event.forward_rad == event.right_rad == 0.0:
-        return _refocused(state)
+        return _refocused(state, config)
     x = state.x.copy()
     x[States.CAMERA_TILT] += event.forward_rad, event.right_rad
     return state._replace(x=x)
 
 
-def _refocused(state: FilterState) -> FilterState:
-    """The focal length is what it is taken for, but for an error as that of one by a data sheet."""
+def _refocused(state: FilterState, config: EkfConfig) -> FilterState:
+    """The focal length is what it is taken for, but for an error as that of one by a data sheet.
+
+    What ways seemed to tell of the dates of images was its error: nothing is known of them.
+    """
     x = state.x.copy()
-    x[States.FOCAL] = 0.0
+    x[[States.FOCAL, States.TIME_OFFSET]] = 0.0
     sigma = math.sqrt(float(state.P[States.FOCAL, States.FOCAL]))
-    state = state._replace(x=x)
+    state = freed(state._replace(x=x), States.TIME_OFFSET, config.time_offset_sigma_s)
     if sigma > UNMEASURED_FOCAL_RATIO:
         return state  # as the ways have told it
     return freed(state, States.FOCAL, UNMEASURED_FOCAL_RATIO)

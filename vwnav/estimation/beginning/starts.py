@@ -25,7 +25,7 @@ _BARO_SIGMA_M = 2.0
 # each is unsure, their sum is not, so their covariance is handed on whole.
 _HANDED_ON = np.r_[
     States.HEADING_BIAS, States.TILT, States.ACCELEROMETER_BIAS, States.WIND_FORCE, States.DRAG,
-    States.GUST_FORCE, States.CAMERA_TILT, States.CAMERA_TURN, States.FOCAL,
+    States.GUST_FORCE, States.CAMERA_TILT, States.CAMERA_TURN, States.FOCAL, States.TIME_OFFSET,
 ]  # fmt: skip
 _TRIANGLE = np.triu_indices(len(_HANDED_ON))
 _HEADING_SIGMA_RAD = math.radians(3.0)  # by which the autopilot may have set its heading since
@@ -107,6 +107,7 @@ def first_variance(config: EkfConfig) -> Array:
     variance[States.FIX_LEAN] = config.fix_lean_rad**2
     variance[States.SLOPE] = _LEVEL_SLOPE**2
     variance[States.FOCAL] = config.focal_sigma_ratio**2
+    variance[States.TIME_OFFSET] = config.time_offset_sigma_s**2
     variance[States.BARO] = config.baro_sigma_m**2
     variance[States.ACCELEROMETER_BIAS] = config.accelerometer_sigma_m_s2**2
     variance[States.GYRO_BIAS] = config.gyro_sigma_rad_s**2

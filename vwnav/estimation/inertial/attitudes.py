@@ -25,6 +25,7 @@ _CARRIED_S = 5.0  # the same by the gyro, which drifts by some tenths of a degre
 _TURN_ON_SPANS = 5.0  # two samples that lie close tell no rate
 _LEAST_COS_LEAN = 0.5
 _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about acceleration
+MOST_TURN_RAD_S = 10.0  # what turns a multirotor faster is a correction of its attitude
 LONGEST_GAP_S = 0.1  # between samples of the gyro; a longer one is a silence
 _TURNS_OVER_S = 0.01  # either way of a moment, to tell how the body turns then
 _TILTED_S = 0.02  # and before an image, to tell how fast it tilted until then
@@ -282,8 +283,16 @@ class AttitudeHistory:
         quat_wxyz = self.held(t_s).quat_wxyz
         forward, right, down = down_axis(quat_wxyz)
         lean = np.array([forward, right]) / max(down, _LEAST_COS_LEAN)
-        tilts_rad_s = math.hypot(*self.rates_rad_s(t_s - _TILTED_S, _TILTED_S)[:2].tolist())
-        return Exposure(t_s, yaw_of(quat_wxyz), lean, tilts_rad_s, told=self.at(t_s) is not None)
+        # The body's axes in level ones: x has no part to the right there, and y is z cross x.
+        x, y, z = self.rates_rad_s(t_s - _TILTED_S, _TILTED_S).tolist()
+        aside = max(math.hypot(forward, down), _LEAST_COS_LEAN)
+        ahead = (x * down - y * forward * right) / aside + z * forward
+        below = z * down - (x * forward + y * right * down) / aside
+        turns_rad_s = np.array([ahead, y * aside + z * right, below])
+        if not turns_rad_s @ turns_rad_s < MOST_TURN_RAD_S**2:
+            turns_rad_s = np.zeros(3)
+        told, tilts_rad_s = self.at(t_s) is not None, math.hypot(x, y)
+        return Exposure(t_s, yaw_of(quat_wxyz), lean, tilts_rad_s, turns_rad_s, told)
 
 
 def yaw_of(quat_wxyz: Array) -> float:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from vwnav.estimation.events import NedFix
+from vwnav.estimation.events import NedFix, Recalibrated
 from vwnav.estimation.inertial.attitudes import AttitudeHistory
 from vwnav.estimation.inertial.integrals import ImuIntegrals
 from vwnav.estimation.inertial.preintegration import preintegrated
@@ -33,6 +33,7 @@ _LEAST_APART_S, _EVEN = 0.1, 1.5  # of five in that second
 _LEAST_SIGMA_M_S = 0.2  # of a change of velocity
 _MOST_SAID, _SURE = 3.0, 7.0  # log-likelihood ratio: by one change; of them all, once in a thousand
 _REFUSED = 5.7  # ln(0.3 / 0.001), the shares of wrong ways and of right ones that are
+LEAST_OFFSET_S, _OFFSET_SIGMA_S, _OFFSET_SIGMAS = 0.015, 0.015, 3.0  # that is worth new dates
 _TIME = attrgetter("t_s")
 
 
@@ -53,6 +54,18 @@ def of_doubtful_date(fix: NedFix, state: FilterState, attitudes: AttitudeHistory
     r = math.exp(-max(since_s, _SHORTEST_S) / _ALIKE_S)
     doubt_m2 *= (1.0 + r) / (1.0 - r)
     return replace(fix, covariance_ne_m2=fix.covariance_ne_m2 + doubt_m2)
+
+
+def misdated(state: FilterState, t_s: float) -> Recalibrated | None:
+    """By how much images from `t_s` on are to be dated anew; None: not sure, or not worth it.
+
+    The filter follows an error as far as nobody turns otherwise within it.
+    """
+    off_s = float(state.x[States.TIME_OFFSET])
+    sigma_s = math.sqrt(float(state.P[States.TIME_OFFSET, States.TIME_OFFSET]))
+    if sigma_s > min(_OFFSET_SIGMA_S, abs(off_s) / _OFFSET_SIGMAS):
+        return None
+    return Recalibrated(t_s + min(off_s, 0.0), redated_s=off_s)
 
 
 class _Dated(NamedTuple):

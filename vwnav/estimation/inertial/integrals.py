@@ -51,15 +51,19 @@ class Exposure(NamedTuple):
         t_s: when.
         yaw_rad: its heading.
         lean: (2,) where the body's down axis meets the ground, level forward and right, in heights.
-        tilts_rad_s: how fast it tilted, as the gyro says; where none tells, as attitudes do.
+        tilts_rad_s: how fast its own down axis turned, as the gyro says; where none, as attitudes.
+        turns_rad_s: (3,) how fast it turned about the level forward and right, and about down.
         told: telemetry reaches there; else it is a guess.
+        velocity_m_s: (3,) NED, as the filter had it.
     """
 
     t_s: float
     yaw_rad: float
     lean: Array
     tilts_rad_s: float
+    turns_rad_s: Array
     told: bool
+    velocity_m_s: Array = np.zeros(3)
 
 
 def white_acceleration(level: float, vertical: float, dt_s: float) -> Array:

@@ -18,10 +18,14 @@ from vwnav.bench.flights.scenario import (
     setup,
 )
 from vwnav.config import with_camera
-from vwnav.geometry.camera import UNMEASURED_FOCAL_RATIO, UNMEASURED_MOUNT_RAD
+from vwnav.geometry.camera import (
+    UNMEASURED_FOCAL_RATIO,
+    UNMEASURED_MOUNT_RAD,
+    UNMEASURED_OFFSET_S,
+)
 from vwnav.vehicle import Order
 
-UNMEASURED = with_camera(CONFIG, UNMEASURED_MOUNT_RAD, UNMEASURED_FOCAL_RATIO)
+UNMEASURED = with_camera(CONFIG, UNMEASURED_MOUNT_RAD, UNMEASURED_FOCAL_RATIO, UNMEASURED_OFFSET_S)
 USELESS = [
     Scenario(
         name=f"pictures {name} for good at 50 m",
