@@ -752,11 +752,12 @@ UPRIGHT = tuple(np.eye(3).ravel().tolist())
 @pytest.mark.parametrize(
     ("camera", "taken"),
     [
-        (FoundCamera(0.8, 1.0, UPRIGHT), True),
+        (FoundCamera(0.8, 1.0, UPRIGHT, 0.02), True),
         (None, False),
         (FoundCamera(0.0, 1.0, UPRIGHT), False),
         (FoundCamera(math.nan, 1.0, UPRIGHT), False),
         (FoundCamera(0.8, 1.0, (1e300,) * 9), False),
+        (FoundCamera(0.8, 1.0, UPRIGHT, 3600.0), False),
     ],
 )
 def test_one_that_goes_on_for_another_takes_the_camera_that_it_found_out_where_it_can_be(
@@ -775,7 +776,9 @@ def test_one_that_goes_on_for_another_takes_the_camera_that_it_found_out_where_i
     seen = np.full((48, 64), RIGHT, np.uint8)
     seen[:, 32:] = LEFT
     pipeline.feed(Attitude(0.1, LEVEL))
-    assert pipeline.step(Frame(0.1, seen, 1)).estimate is not None
+    step = pipeline.step(Frame(0.1, seen, 1))
+    assert step.estimate is not None
+    assert step.t_s == (0.1 + 0.02 if taken else 0.1)
     assert ratios == ([0.8] if taken else [])
     assert odometry.left == [LEFT if taken else RIGHT]
     left = pipeline.learned()

@@ -14,9 +14,9 @@ from vwnav.vehicle import FoundCamera, Learned
 
 CONFIG = EkfConfig()
 AIR = [*range(37, 42)]  # wind, drag, gusts
-MOUNT = [States.CAMERA_TURN, States.FOCAL]
+MOUNT = [States.CAMERA_TURN, States.FOCAL, States.TIME_OFFSET]
 LEFT = [States.HEADING_BIAS, *range(9, 11), *range(19, 22), *AIR, *MOUNT]
-CAMERA = FoundCamera(0.8, 1.0, tuple(np.eye(3).ravel().tolist()))
+CAMERA = FoundCamera(0.8, 1.0, tuple(np.eye(3).ravel().tolist()), -0.1)
 PLACE = np.array([10.0, 20.0, -50.0])
 
 

@@ -235,6 +235,8 @@ def test_unknown_ros_model_is_refused(tmp_path: Path) -> None:
         ({"calibrated": {"sigma_mount_rpy_deg": [0.1]}}, "3 numbers"),
         ({"calibrated": {"sigma_mount_rpy_deg": [0.0, 0.0, 0.1]}}, "sigma of the mount"),
         ({"calibrated": {"sigma_fx_px": "small"}}, "finite number"),
+        ({"calibrated": {"sigma_time_offset_s": 3.0}}, "expected a time offset"),
+        ({"calibrated": {"sigma_time_offset_s": "small"}}, "finite number"),
         ({"calibrated": {"sigma_focal_ratio": 3.0}}, "sigma of the focal length"),
         ({"calibrated": {"sigma_fx_px": -1.0}}, "sigma_fx_px is -1, expected 0 or more"),
         ({"calibrated": {"sigma_fx_px": 1.0}, "fx_px": 0}, "positive focal"),
@@ -286,6 +288,17 @@ def test_how_sure_the_mount_is_comes_from_its_calibration(tmp_path: Path) -> Non
     assert load_camera(path).sigma_mount_rad == pytest.approx(math.radians(2.0))
     save_camera(load_camera(path), path, {"sigma_mount_rpy_deg": [0.1, 0.3, 2.0]})
     assert load_camera(path).sigma_mount_rad == pytest.approx(math.radians(0.3))
+
+
+@pytest.mark.parametrize(("told_s", "sigma_s"), [(None, 0.04), (0.03, 0.03), (0.001, 0.01)])
+def test_how_sure_its_dates_are_comes_from_its_calibration_and_the_next_flight(
+    tmp_path: Path, told_s: float | None, sigma_s: float
+) -> None:
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(OURS))
+    found = {} if told_s is None else {"sigma_time_offset_s": told_s}
+    save_camera(load_camera(path), path, found)
+    assert load_camera(path).sigma_time_offset_s == pytest.approx(sigma_s)
 
 
 @pytest.mark.parametrize(

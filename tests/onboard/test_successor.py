@@ -45,7 +45,7 @@ def test_what_the_watchdog_wakes_it_with_is_read():
         assert (read.lat_lon_deg is None) is (origin is None)
 
 
-@pytest.mark.parametrize("camera", [None, FoundCamera(0.8, 1.0, (1.0, *[0.0] * 7, 1.0))])
+@pytest.mark.parametrize("camera", [None, FoundCamera(0.8, 1.0, (1.0, *[0.0] * 7, 1.0), -0.1)])
 def test_what_the_first_navigator_has_learned_reaches_the_second_one_by_beat_and_by_word(camera):
     learned = Learned(100.0, (1.0, 2.0), (3.0, 4.0, 5.0), camera)
     beat = Beat.unpack(Beat(True, 1, 2, "on route", learned=learned).pack())

@@ -21,7 +21,7 @@ from vwnav.watchdog.keepalive import (
 
 FINITE = st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=80).map(tuple)
 NUMBER = st.floats(allow_nan=False, allow_infinity=False)
-CAMERAS = st.builds(FoundCamera, NUMBER, NUMBER, st.tuples(*[NUMBER] * 9))
+CAMERAS = st.builds(FoundCamera, NUMBER, NUMBER, st.tuples(*[NUMBER] * 9), NUMBER)
 BEATS = st.builds(
     Beat,
     st.booleans(),

@@ -50,19 +50,25 @@ class LockstepCamera:
     Attributes:
         renderer, home_ned_m: what is seen, and (3,) where in it the vehicle's start place lies.
         period_s: between exposures.
-        latency_s: from the exposure to the image.
+        latency_s: from the exposure to the image. late_s: by how much its date is late.
         troubles: of its images, one after the other, each by the `id` of who makes it.
         R_body_mount: (3, 3) by which it was knocked out of its mount.
         drawn: how many images were.
     """
 
     def __init__(
-        self, renderer: Renderer, home_ned_m: Array, period_s: float, latency_s: float
+        self,
+        renderer: Renderer,
+        home_ned_m: Array,
+        period_s: float,
+        latency_s: float,
+        late_s: float = 0.0,
     ) -> None:
         self.renderer = renderer
         self.home_ned_m = home_ned_m
         self.period_s = period_s
-        self.latency_s = latency_s
+        self.latency_s = latency_s + max(late_s, 0.0)
+        self.late_s = late_s
         self.troubles: dict[int, Trouble] = {}
         self.R_body_mount: Array = np.eye(3)
         self.drawn = 0
@@ -101,7 +107,7 @@ class LockstepCamera:
             pose = self._waiting.popleft()[1]
         if pose is None:
             return None
-        frame: Frame | None = Frame(pose.t_s, self._draw(pose), pose.index)
+        frame: Frame | None = Frame(pose.t_s + self.late_s, self._draw(pose), pose.index)
         for trouble in list(self.troubles.values()):
             frame = None if frame is None else trouble(frame)
         return frame

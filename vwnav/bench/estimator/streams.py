@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vwnav.bench.estimator.attitude_errors import AttitudeErrors, multiply
 from vwnav.bench.estimator.world import DT_S, G_M_S2, FilterWorld, TrueTrajectory, ground_m
 from vwnav.estimation.events import NedFix
 from vwnav.estimation.inputs import Measurement
@@ -18,8 +19,6 @@ _ATTITUDE_LATE_S = 0.01
 _IMU_LATE_S = 0.012
 _HEIGHT_LATE_S = 0.03
 _ODOMETRY_LATE_S = 0.04
-_TILT_DRIFT_S = 20.0
-_LEVELLED_S = 5.0  # real PX4, which is aided: none was left 3 to 5 s after a turn
 _HANDED_AGL_M = 40.0  # odometry is scaled by whatever AGL it is handed; the filter undoes it
 _KEYFRAME_WAY = 0.35  # in AGL, then the keyframe is replaced
 _KEYFRAME_CLIMB = 0.12
@@ -90,78 +89,6 @@ def sense(world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -
     return MeasurementStream(truth, events, measured, table, errors.quats)
 
 
-class AttitudeErrors:
-    """The autopilot's attitude Rz(yaw error) exp(tilt) R_true.
-
-    Its gyro holds the tilt in NED while the body turns; within seconds it is levelled anew, to a
-    bias of the body's, as by real PX4. Where no IMU is told it turns with the body at once.
-    """
-
-    def __init__(self, world: FilterWorld, truth: TrueTrajectory, rng: np.random.Generator) -> None:
-        n = len(truth.t_s)
-        keep = math.exp(-DT_S / _TILT_DRIFT_S)
-        drive = math.radians(world.tilt_drift_deg) * math.sqrt(1.0 - keep**2)
-        bias = math.radians(world.tilt_bias_deg) * rng.normal(size=2)
-        walk = _first_order(keep, drive * rng.normal(size=(n, 2)))
-        white = math.radians(world.tilt_noise_deg) * rng.normal(size=(n, 2))
-        # Correlated over some 20 ms, as a filter's output is.
-        white = (white + np.roll(white, 1, 0) + np.roll(white, 2, 0)) / math.sqrt(3.0)
-        levelled = _in_ned(bias + walk, truth)
-        share = DT_S / _LEVELLED_S if world.imu_hz else 1.0
-        self.tilt_ne = _first_order(1.0 - share, share * levelled, levelled[0]) + white
-        down = np.array([rotation_from_quat(quat)[:, 2] for quat in truth.quat_wxyz])
-        lean = down[:, :2] / down[:, 2:]
-        # A camera that is turned shows the heading for more, and leans another way than the body.
-        self.mount_turn = math.radians(world.mount_turn_deg)
-        mount_off = np.tile(np.radians(world.mount_off_deg), (n, 1))
-        self.seen_ne = self.tilt_ne + _in_ned(mount_off, truth) - self.mount_turn * lean
-        self.focal_shift = -world.focal_off * lean
-        steps = math.radians(world.yaw_walk_deg) * math.sqrt(DT_S) * rng.normal(size=n)
-        self.yaw = math.radians(world.yaw_bias_deg) * rng.normal() + np.cumsum(steps)
-        self.yaw = self.yaw + math.radians(world.yaw_step_deg) * (truth.t_s >= world.yaw_step_s)
-        self.tilted = tilted = _multiply(_small_quats(self.tilt_ne), truth.quat_wxyz)
-        turn = np.zeros((n, 4))
-        turn[:, 0], turn[:, 3] = np.cos(self.yaw / 2.0), np.sin(self.yaw / 2.0)
-        self.quats = _multiply(turn, tilted)
-        w, x, y, z = tilted.T
-        self.map_yaw = np.arctan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
-
-    @property
-    def nadir_shift(self) -> Array:
-        """(n, 2) where the ground point that seems to be below lies, per AGL."""
-        by_tilt = np.stack([-self.seen_ne[:, 1], self.seen_ne[:, 0]], axis=1)
-        return np.asarray(self.focal_shift + by_tilt)
-
-
-def _in_ned(body: Array, truth: TrueTrajectory) -> Array:
-    """(n, 2) about north and east, of turns (n, 2) about the body's level forward and right."""
-    c, s = np.cos(truth.yaw_rad), np.sin(truth.yaw_rad)
-    return np.stack([c * body[:, 0] - s * body[:, 1], s * body[:, 0] + c * body[:, 1]], axis=1)
-
-
-def _first_order(keep: float, drive: Array, first: Array | float = 0.0) -> Array:
-    out = np.zeros_like(drive)
-    out[0] = first
-    for i in range(1, len(drive)):
-        out[i] = keep * out[i - 1] + drive[i]
-    return out
-
-
-def _small_quats(tilt_ne: Array) -> Array:
-    half = 0.5 * np.hypot(tilt_ne[:, 0], tilt_ne[:, 1])
-    quats = np.zeros((len(tilt_ne), 4))
-    quats[:, 0] = np.cos(half)
-    quats[:, 1:3] = 0.5 * np.sinc(half / math.pi)[:, None] * tilt_ne
-    return quats
-
-
-def _multiply(a: Array, b: Array) -> Array:
-    """Hamilton products (n, 4)."""
-    w0, v0, w1, v1 = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
-    scalar = w0 * w1 - np.sum(v0 * v1, axis=1, keepdims=True)
-    return np.concatenate([scalar, w0 * v1 + w1 * v0 + np.cross(v0, v1)], axis=1)
-
-
 def _attitudes(truth: TrueTrajectory, errors: AttitudeErrors) -> list[MeasurementEvent]:
     times = truth.t_s.tolist()
     return [
@@ -191,7 +118,7 @@ def _imu(
 def _rates(truth: TrueTrajectory) -> Array:
     """(n, 3) body rates, rad/s."""
     conjugate = truth.quat_wxyz * [1.0, -1.0, -1.0, -1.0]
-    steps = _multiply(conjugate[:-1], truth.quat_wxyz[1:])
+    steps = multiply(conjugate[:-1], truth.quat_wxyz[1:])
     between = 2.0 * np.sign(steps[:, :1]) * steps[:, 1:] / DT_S
     return np.vstack([between[:1], 0.5 * (between[:-1] + between[1:]), between[-1:]])
 
@@ -217,6 +144,7 @@ def _odometry(
 ) -> list[MeasurementEvent]:
     """Ways from keyframes that are replaced as the view changes; the first image is one."""
     events: list[MeasurementEvent] = []
+    late_s = world.dated_late_s
     sigma = world.odometry_sigma * np.array([0.7, 0.7, 0.4])
     covariance = np.diag(2.0 * sigma**2) * _HANDED_AGL_M**2
     sigma_yaw_rad = math.sqrt(2.0) * world.odometry_yaw_rad
@@ -237,7 +165,8 @@ def _odometry(
             turned_rad = wrap_pi(float(errors.map_yaw[i] - errors.map_yaw[key]))
             increment_rad = turned_rad + world.odometry_yaw_rad * float(rng.normal()) + key_yaw
             motion = OdometryMotion(
-                float(truth.t_s[key]), float(truth.t_s[i]), seen * _HANDED_AGL_M, covariance,
+                float(truth.t_s[key]) + late_s, float(truth.t_s[i]) + late_s,
+                seen * _HANDED_AGL_M, covariance,
                 increment_rad, sigma_yaw_rad, _HANDED_AGL_M, 150, world.tilt_in_odometry,
                 _tilts_along(world, truth.quat_wxyz[[key, i]], errors.tilted[[key, i]]),
                 *_slope_seen(world, truth, errors, key, i),
@@ -248,7 +177,7 @@ def _odometry(
                 continue
         key, key_noise = i, sigma * rng.normal(size=3)
         key_yaw = world.odometry_yaw_rad * float(rng.normal())
-        turn = rotation_from_vector([0.0, 0.0, errors.yaw[key] - errors.mount_turn])
+        turn = rotation_from_vector([0.0, 0.0, errors.seen_yaw[key] - errors.mount_turn])
         key_turn = turn @ rotation_from_vector([*errors.seen_ne[key], 0.0])
     return events
 
@@ -264,7 +193,7 @@ def _slope_seen(
     around = place + np.array([[_SLOPE_STEP_M, 0.0], [0.0, _SLOPE_STEP_M]])
     ahead, behind = (ground_m(at[:, 0], at[:, 1], world) for at in (around, 2.0 * place - around))
     rise = (ahead - behind) / (2.0 * _SLOPE_STEP_M) + np.array([tilt[1], -tilt[0]])
-    c, s = math.cos(errors.yaw[key]), math.sin(errors.yaw[key])
+    c, s = math.cos(errors.seen_yaw[key]), math.sin(errors.seen_yaw[key])
     as_told = np.array([[c, -s], [s, c]]) @ rise
     noise = np.random.default_rng([key, now]).normal(size=2)
     return as_told + world.slope_noise * noise, world.slope_noise**2 * np.eye(2)
@@ -316,7 +245,7 @@ def _fixes(
         yaw_sigma_rad = math.radians(world.fix_yaw_deg)
         yaw_rad = errors.map_yaw[i] + errors.mount_turn + map_turn_rad[i]
         fix = NedFix(
-            t_s=t_s,
+            t_s=t_s + world.dated_late_s,
             position_ne_m=truth.position_ned_m[i, :2] + agl_m * errors.nadir_shift[i] + error,
             covariance_ne_m2=covariance,
             yaw_rad=wrap_pi(float(yaw_rad + yaw_sigma_rad * noise[2])),
@@ -326,7 +255,7 @@ def _fixes(
             sigma_agl_m=world.fix_agl_ratio * agl_m,
             sigma_map_m=world.map_error_m,
         )
-        events.append(MeasurementEvent(t_s + late_s, fix, float(np.hypot(*error))))
+        events.append(MeasurementEvent(fix.t_s + late_s, fix, float(np.hypot(*error))))
     return events
 
 

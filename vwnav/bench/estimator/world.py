@@ -76,6 +76,8 @@ class FilterWorld:
     outages_s: tuple[tuple[float, float], ...] = ()
     wrong_share: float = 0.0  # of fixes 10 to 200 m off, each on its own
     wrong_runs_s: tuple[float, ...] = ()  # here begin ten wrong fixes that agree
+    # Images
+    dated_late_s: float = 0.0  # than they were exposed; a multiple of 10 ms
     # Odometry
     odometry_hz: float = 15.0
     odometry_sigma: float = 0.0016  # of the AGL, an image's own and its keyframe's alike

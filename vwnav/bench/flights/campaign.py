@@ -110,6 +110,7 @@ def off_as_told(rng: np.random.Generator) -> dict[str, Any]:
         "compass_off_deg": float(rng.normal(0.0, _COMPASS_SIGMA_DEG)),
         "map_warp": MapWarp(sigma_m=MAP_SIGMA_M, seed=int(rng.integers(1, 2**31))),
         "readout_s": float(rng.uniform(0.0, _MOST_READOUT_S)),
+        "late_s": float(rng.normal(0.0, camera.sigma_time_offset_s)),
     }
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import Any
 
 from vwnav.bench.flights.setup import AirStart, Setup
 from vwnav.bench.flights.stage import Fault
@@ -20,6 +21,11 @@ ROUTE = AirStart(phase=Phase.ROUTE, place_ned_m=(15.0, -15.0, -50.0))
 CLIMB = AirStart(phase=Phase.CLIMB, place_ned_m=(0.5, 0.5, -15.0))
 RETURN = AirStart(phase=Phase.RETURN, place_ned_m=(60.0, 40.0, -50.0))
 DESCEND = AirStart(phase=Phase.DESCEND, place_ned_m=(0.5, -0.5, -25.0))
+# What no calibration says of a camera, and a flight has to learn.
+NOBODY_KNOWS: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("rows read in 30 ms and nobody knows", {"readout_s": 0.03}),
+    ("pictures dated 0.1 s late and nobody knows", {"late_s": 0.1}),
+)
 BREAKS_AT_S = 9.0  # on the route: at speed, and after a few fixes
 
 

@@ -67,6 +67,7 @@ class Setup:
         mount_off_deg: how the camera truly hangs, roll, pitch and yaw beyond its calibration.
         lens_ratio: its true focal length over the calibrated one.
         readout_s: what its rows truly take; None: what the simulated camera's take.
+        late_s: by how much its images are dated later than exposed, which nobody knows.
         relief: of the ground about home, where it has to stand.
         map_warp: of the map that is flown on.
         range_most_m: how far the rangefinder reaches; 0: there is none.
@@ -98,6 +99,7 @@ class Setup:
     mount_off_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     lens_ratio: float = 1.0
     readout_s: float | None = None
+    late_s: float = 0.0
     relief: Relief = field(default_factory=Relief)
     map_warp: MapWarp = field(default_factory=MapWarp)
     range_most_m: float = 100.0

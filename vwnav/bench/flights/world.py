@@ -128,7 +128,7 @@ class World:
         return Watchdog(*parts, known and known.pass_on(self.clock.now_s))
 
     def _camera(self, place: Place) -> LockstepCamera:
-        timing_s = 1.0 / self.setup.image_hz, _CAMERA_LATENCY_S
+        timing_s = 1.0 / self.setup.image_hz, _CAMERA_LATENCY_S, self.setup.late_s
         return LockstepCamera(draw(self.setup, place), self._stands_ned_m, *timing_s)
 
     def _navigator(self, place: Place, first_counter: int) -> Navigator:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vwnav.bench.estimator.streams import AttitudeErrors
+from vwnav.bench.estimator.attitude_errors import AttitudeErrors
 from vwnav.bench.estimator.world import DT_S, FilterWorld, TrueTrajectory, fly
 from vwnav.estimation.events import NedFix
 from vwnav.geometry.camera import R_BODY_CAMERA_DOWN, Camera

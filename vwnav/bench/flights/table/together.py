@@ -1,12 +1,14 @@
 """Bad days: several things at once, and what breaks again and again."""
 
 import math
+from typing import Any
 
 from vwnav.bench.flights.faults import aircraft, camera, computer, fixes, light, link
 from vwnav.bench.flights.scenario import (
     BREAKS_AT_S,
     DESCEND,
     HOME,
+    NOBODY_KNOWS,
     Break,
     Ending,
     Scenario,
@@ -147,6 +149,11 @@ TURNED = [
     ),
 ]
 # What the first navigator has found out of its camera, the second one goes on with.
+_OTHERWISE: tuple[tuple[str, dict[str, Any]], ...] = (
+    ("camera turned by 180 degrees", {"mount_off_deg": (0.0, 0.0, 180.0)}),
+    ("a lens a fifth narrower than calibrated", {"lens_ratio": 1.25}),
+    *NOBODY_KNOWS,
+)
 FOUND_OUT = [
     Scenario(
         name=f"{what}, and the navigator killed on the route",
@@ -156,11 +163,7 @@ FOUND_OUT = [
         follows=(said(6.0, "estimates again"), down(70.0)),
         lands_within_m=5.0,
     )
-    for what, changes in (
-        ("camera turned by 180 degrees", {"mount_off_deg": (0.0, 0.0, 180.0)}),
-        ("a lens a fifth narrower than calibrated", {"lens_ratio": 1.25}),
-        ("rows read in 30 ms and nobody knows", {"readout_s": 0.03}),
-    )
+    for what, changes in _OTHERWISE
 ]
 STALE = [
     Scenario(
@@ -178,8 +181,8 @@ STALE = [
 # It looks for the map from higher up, finds it, goes on, and loses it again.
 SNOW = [
     Scenario(
-        name=f"{how}no fix for 20 s, fixes for 3 s, and then none",
-        setup=setup(readout_s=readout_s),
+        name=", ".join(filter(None, (how, "no fix for 20 s, fixes for 3 s, and then none"))),
+        setup=setup(**changes),
         breaks=(
             Break(fault=fixes.NoFixes(), at_s=BREAKS_AT_S, for_s=20.0),
             Break(fault=fixes.NoFixes(), at_s=BREAKS_AT_S + 23.0),
@@ -194,7 +197,7 @@ SNOW = [
         lands_within_m=5.0,
         lands_at_ne_m=HOME,
     )
-    for how, readout_s in (("", None), ("rows read in 30 ms and nobody knows, ", 0.03))
+    for how, changes in (("", {}), *NOBODY_KNOWS)
 ]
 _CUT = Break(fault=link.LinkCut(), at_s=BREAKS_AT_S, for_s=3.0)
 # PX4 has fallen back to a mode that stays up by the time that the link is there again.

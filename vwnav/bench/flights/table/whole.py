@@ -1,6 +1,6 @@
 """Whole flights in which nothing breaks, and wind."""
 
-from vwnav.bench.flights.scenario import HOME, Ending, Scenario, setup, unsaid
+from vwnav.bench.flights.scenario import HOME, NOBODY_KNOWS, Ending, Scenario, setup, unsaid
 
 WHOLE = [
     Scenario(
@@ -50,13 +50,13 @@ WIND = [
     ),
     *(
         Scenario(
-            name=f"{how}wind of 12 m/s with gusts, the whole flight",
-            setup=setup(None, wind_m_s=12.0, gust_m_s=1.5, readout_s=readout_s),
+            name=", ".join(filter(None, (how, "wind of 12 m/s with gusts, the whole flight"))),
+            setup=setup(None, wind_m_s=12.0, gust_m_s=1.5, **changes),
             breaks=(),
             limit_s=260.0,
             lands_within_m=5.0,
             lands_at_ne_m=HOME,
         )
-        for how, readout_s in (("", None), ("rows read in 30 ms and nobody knows, ", 0.03))
+        for how, changes in (("", {}), *NOBODY_KNOWS)
     ),
 ]
