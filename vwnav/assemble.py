@@ -33,6 +33,7 @@ _MIRRORED = "mirrors its pictures left to right (a flip in its driver, of one ax
 _TILTED = "looks {:.0f} degrees further {} than its mount_rpy_deg says"
 _MISDATED = "dates its pictures {:.0f} ms {} than its time_offset_s says"
 _RECALIBRATED = "the camera {}: it is taken for that from now on; calibrate it"
+_TOLD_MS = 10.0  # by which dates are off that is told of
 _TOLD_RAD = math.radians(2.0)  # by which a mount is off that is told of
 _HALF_TURN_RAD = math.pi - 1e-6
 _MINOR = 0.4  # share of a tilt that is not told besides the rest
@@ -148,7 +149,8 @@ def _lens_in_words(focal_ratio: float) -> list[str]:
 
 def _dates_in_words(time_offset_s: float) -> list[str]:
     when = "later" if time_offset_s < 0.0 else "earlier"
-    return [_MISDATED.format(1e3 * abs(time_offset_s), when)] if time_offset_s else []
+    off_ms = 1e3 * abs(time_offset_s)
+    return [_MISDATED.format(off_ms, when)] if off_ms > _TOLD_MS else []
 
 
 def _mount_in_words(R_mount: Array) -> list[str]:
