@@ -152,7 +152,7 @@ def test_doctor_says_whether_anybody_measured_lens_mount_and_read_out(vwnav, pla
     assert "focal length to 1.5 %" in detail_of(bare)
     assert "vwnav calibrate camera" in detail_of(bare)
     assert "read-out not known" in detail_of(bare)
-    assert "dates of pictures to 40 ms: nobody measured them" in detail_of(bare)
+    assert "dates of pictures to 80 ms: nobody measured them" in detail_of(bare)
     found = {"sigma_mount_rpy_deg": [0.1, 0.3, 2.0], "sigma_fx_px": 1.0}
     found["sigma_time_offset_s"] = 0.002
     save_camera(replace(load_camera(bare), readout_s=0.0), tmp_path / "mounted.json", found)

@@ -26,7 +26,7 @@ class EkfConfig(Settings):
     mount_sigma_rad: Angle = math.radians(0.2)  # per axis
     mount_turn_sigma_rad: Angle = math.radians(1.5)  # about down: a turned one shows no tilt
     focal_sigma_ratio: Share = 0.001
-    time_offset_sigma_s: Annotated[float, Within(0.0, 2.0, above=True)] = 0.04  # of its dates
+    time_offset_sigma_s: Annotated[float, Within(0.0, 2.0, above=True)] = 0.08  # of its dates
     # Of fixes, for good
     fix_lean_rad: Angle = math.radians(0.2)  # per axis, alike in every turn: 17 cm at 50 m
     # Of sensors and air

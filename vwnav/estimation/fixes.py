@@ -88,7 +88,7 @@ def apply_fix(
     One that is `late` is of the image whose pose is cloned: with the clone all that came since
     moves. The map's own error there and here is not the same by now, so it is noise besides.
     """
-    pose, exposure = _NOW, context.attitudes.exposure(fix.t_s)
+    pose, exposure = _NOW, context.attitudes.exposure(fix.t_s, float(state.x[States.TIME_OFFSET]))
     exposure = exposure._replace(velocity_m_s=state.x[States.VELOCITY])
     if late:
         if state.exposure is None or state.exposure.t_s != fix.t_s:
@@ -134,7 +134,7 @@ def apply_fix(
 
 def apply_exposure(state: FilterState, attitudes: AttitudeHistory) -> FilterState:
     """Copy what a fix of this moment's image will tell: place, attitude error, height."""
-    exposure = attitudes.exposure(state.t_s)
+    exposure = attitudes.exposure(state.t_s, float(state.x[States.TIME_OFFSET]))
     if not exposure.told:
         return state._replace(exposure=None)  # nobody knows how it was turned
     G = np.eye(States.SIZE)

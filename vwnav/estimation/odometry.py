@@ -66,7 +66,9 @@ def apply_keyframe(
     P[States.ANCHOR_TILT, States.ANCHOR_TILT] += _CLONE_SIGMA_RAD**2 * np.eye(2)
     P[States.ANCHOR_TERRAIN, States.ANCHOR_TERRAIN] += _CLONE_SIGMA_M**2 + state.relief_m**2
     P[States.ANCHOR_TURN, States.ANCHOR_TURN] = event.sigma_yaw_rad**2
-    anchor = attitudes.exposure(event.t_s)._replace(velocity_m_s=state.x[States.VELOCITY])
+    anchor = attitudes.exposure(event.t_s, float(state.x[States.TIME_OFFSET]))._replace(
+        velocity_m_s=state.x[States.VELOCITY]
+    )
     return state._replace(x=G @ state.x, P=P, anchor=anchor)
 
 
@@ -83,7 +85,7 @@ def apply_displacement(
         state = motion_opened(state, motion.t1_s - before_s, config)
         return state, Innovation(Verdict.HEADING_UNKNOWN)
     parts: tuple[Innovation, ...] = ()
-    exposure = attitudes.exposure(motion.t1_s)
+    exposure = attitudes.exposure(motion.t1_s, float(state.x[States.TIME_OFFSET]))
     if not config.odometry_turns_attitude:
         state, heading = fuse(state, _turn(state, motion, anchor, exposure, config))
         parts = (heading,)

@@ -278,13 +278,15 @@ class AttitudeHistory:
         half = math.copysign(1.0, turn[0]) * turn[1:]  # sine of half the angle, about the axis
         return np.asarray((1.0 + half @ half / 6.0) * half / over_s)
 
-    def exposure(self, t_s: float) -> Exposure:
-        """How an image of that time was held."""
+    def exposure(self, t_s: float, offset_s: float = 0.0) -> Exposure:
+        """How an image of that time was held, and how it turned within the offset of its date."""
         quat_wxyz = self.held(t_s).quat_wxyz
         forward, right, down = down_axis(quat_wxyz)
         lean = np.array([forward, right]) / max(down, _LEAST_COS_LEAN)
         # The body's axes in level ones: x has no part to the right there, and y is z cross x.
-        x, y, z = self.rates_rad_s(t_s - _TILTED_S, _TILTED_S).tolist()
+        half_s = max(0.5 * abs(offset_s), _TILTED_S)
+        middle_s = t_s + (half_s if offset_s > 0.0 else -half_s)
+        x, y, z = self.rates_rad_s(middle_s, half_s).tolist()
         aside = max(math.hypot(forward, down), _LEAST_COS_LEAN)
         ahead = (x * down - y * forward * right) / aside + z * forward
         below = z * down - (x * forward + y * right * down) / aside
