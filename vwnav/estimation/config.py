@@ -27,6 +27,7 @@ class EkfConfig(Settings):
     mount_turn_sigma_rad: Angle = math.radians(1.5)  # about down: a turned one shows no tilt
     focal_sigma_ratio: Share = 0.001
     time_offset_sigma_s: Annotated[float, Within(0.0, 2.0, above=True)] = 0.08  # of its dates
+    time_offset_walk_s: NotNegative = 3e-4  # per root second: 1 ms in 10 s, 18 ms in an hour
     # Of fixes, for good
     fix_lean_rad: Angle = math.radians(0.2)  # per axis, alike in every turn: 17 cm at 50 m
     # Of sensors and air
@@ -159,6 +160,7 @@ class EkfConfig(Settings):
             fix_lean_rad=math.radians(0.01),
             focal_sigma_ratio=1e-4,
             time_offset_sigma_s=1e-6,
+            time_offset_walk_s=0.0,
             heading_sigma_rad=math.pi,
             thrust_aided=False,
             odometry_turns_attitude=True,

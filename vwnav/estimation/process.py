@@ -339,6 +339,7 @@ def _walks(
     walks[States.MAP] = step.map_sigma_m**2 * fed_map
     walks[States.MAP_TURN] = config.map_turn_rad**2 * fed_map
     walks[States.MAP_SCALE] = config.map_scale**2 * fed_map
+    walks[States.TIME_OFFSET] = config.time_offset_walk_s**2 * dt_s
     climb_m_s = abs(float(x[States.VELOCITY_DOWN]))
     baro_m2 = config.baro_walk_m**2 + config.baro_climb_walk_m**2 * climb_m_s
     walks[States.BARO] = baro_m2 * dt_s
