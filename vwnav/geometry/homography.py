@@ -19,12 +19,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from vwnav.geometry.rotations import MOST_TURN_RAD_S
 from vwnav.types import Array, Frame
 
 BoolArray = NDArray[np.bool_]
 CONFIDENCE = 0.9999
 _MIN_AREA_RATIO = 1e-6
-_MOST_TURN_RAD_S = 10.0  # what turns a multirotor faster is a correction of its attitude
 _LEAST_SQUARES = 0  # OpenCV's name for it
 
 
@@ -224,7 +224,7 @@ def continuous_homography(
     rates_rad_s, velocity_m_s = frame.rates_rad_s, frame.velocity_body_m_s
     if rates_rad_s is None or velocity_m_s is None or not height_m > 0.0:
         return np.zeros((3, 3))
-    if not rates_rad_s @ rates_rad_s < _MOST_TURN_RAD_S**2:
+    if not rates_rad_s @ rates_rad_s < MOST_TURN_RAD_S**2:
         return np.zeros((3, 3))
     R_camera_body = mount[0].T
     velocity_m_s = velocity_m_s + np.cross(rates_rad_s, mount[1])

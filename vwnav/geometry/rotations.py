@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+MOST_TURN_RAD_S = 10.0  # what turns a multirotor faster is a correction of its attitude
 _TWO_PI = 2.0 * math.pi
 
 

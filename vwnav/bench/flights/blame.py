@@ -7,7 +7,7 @@ part may be named that is as it should be.
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from vwnav.bench.flights.faults import aircraft, camera, fixes, telemetry
+from vwnav.bench.flights.faults import aircraft, camera, fixes, link, telemetry
 from vwnav.bench.flights.scenario import Scenario
 from vwnav.sim.map_warp import MapWarp
 from vwnav.sim.relief import Relief
@@ -61,6 +61,12 @@ def _lens(scenario: Scenario) -> bool:
     )
 
 
+def _dates(scenario: Scenario) -> bool:
+    """Of images; what the autopilot dates late makes them look early."""
+    is_off = scenario.setup.late_s != 0.0 or _shows(scenario, camera.false_times)
+    return is_off or _breaks(scenario, camera.ImagesLate, telemetry.TelemetryLate, link.RoundTrip)
+
+
 def _compass(scenario: Scenario) -> bool:
     is_off = abs(scenario.setup.compass_off_deg) >= _COMPASS_DEG
     return is_off or _breaks(scenario, aircraft.HeadingReset, telemetry.Altered)
@@ -89,6 +95,7 @@ _BLAMES = (
     _Blame("map", "the map steps", _map),
     _Blame("mount", "mount_rpy_deg", _mount),
     _Blame("driver", "mirrors its pictures", _driver),
+    _Blame("dating", "than its time_offset_s", _dates),
     _Blame("lens", "as wide as its calibration", _lens),
     _Blame("compass", "calibrate its compass", _compass),
     _Blame("rangefinder", "rangefinder contradicts", _heights),

@@ -9,6 +9,7 @@ import numpy as np
 
 from vwnav.estimation.inertial.integrals import Exposure
 from vwnav.geometry.rotations import (
+    MOST_TURN_RAD_S,
     quat_conjugate,
     quat_from_vector,
     quat_multiply,
@@ -25,7 +26,6 @@ _CARRIED_S = 5.0  # the same by the gyro, which drifts by some tenths of a degre
 _TURN_ON_SPANS = 5.0  # two samples that lie close tell no rate
 _LEAST_COS_LEAN = 0.5
 _LARGEST_TILT_TANGENT = 1.2  # 50 degrees: beyond it thrust says little about acceleration
-MOST_TURN_RAD_S = 10.0  # what turns a multirotor faster is a correction of its attitude
 LONGEST_GAP_S = 0.1  # between samples of the gyro; a longer one is a silence
 _TURNS_OVER_S = 0.01  # either way of a moment, to tell how the body turns then
 _TILTED_S = 0.02  # and before an image, to tell how fast it tilted until then
