@@ -59,12 +59,14 @@ def of_doubtful_date(fix: NedFix, state: FilterState, attitudes: AttitudeHistory
 def misdated(state: FilterState, t_s: float) -> Recalibrated | None:
     """By how much images from `t_s` on are to be dated anew; None: not sure, or not worth it.
 
-    The filter follows an error as far as nobody turns otherwise within it. One that hangs turned by
-    10 degrees shows 26 ms until that is known.
+    The filter follows an error as far as nobody turns otherwise within it. Of a camera that hangs
+    turned by 10 degrees ways show 26 ms until that is known, and of a mirrored one 48: no fix is
+    found by that.
     """
     off_s = float(state.x[States.TIME_OFFSET])
     sigma_s = math.sqrt(float(state.P[States.TIME_OFFSET, States.TIME_OFFSET]))
-    if sigma_s > min(_OFFSET_SIGMA_S, abs(off_s) / _OFFSET_SIGMAS):
+    is_sure = sigma_s <= min(_OFFSET_SIGMA_S, abs(off_s) / _OFFSET_SIGMAS)
+    if not is_sure or state.t_last_fix_s is None:
         return None
     return Recalibrated(t_s + min(off_s, 0.0), redated_s=off_s)
 
