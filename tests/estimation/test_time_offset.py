@@ -86,14 +86,17 @@ def state_with(off_s: float, sigma_s: float) -> FilterState:
     ("off_s", "sigma_s", "worth"),
     [(-0.06, 0.01, True), (0.05, 0.015, True), (-0.06, 0.018, False), (-0.06, 0.021, False)],
 )
-def test_images_are_dated_anew_as_soon_as_it_is_sure_and_a_fix_was_found(off_s, sigma_s, worth):
-    state = state_with(off_s, sigma_s)
-    assert misdated(state, 100.0) is None
-    event = misdated(state._replace(t_last_fix_s=99.0), 100.0)
+def test_images_are_dated_anew_as_soon_as_it_is_sure(off_s, sigma_s, worth):
+    event = misdated(state_with(off_s, sigma_s)._replace(t_last_fix_s=99.0), 100.0)
     assert (event is not None) is worth
     if event is not None:
         assert event.redated_s == off_s
         assert event.t_s == 100.0 + min(off_s, 0.0)  # what is dated by then is of before
+
+
+@pytest.mark.parametrize(("off_s", "worth"), [(-0.07, True), (0.05, False)])
+def test_before_a_fix_was_found_it_has_to_be_more(off_s, worth):
+    assert (misdated(state_with(off_s, 0.01), 100.0) is not None) is worth
 
 
 @pytest.mark.parametrize("off_s", [-0.08, 0.03])

@@ -33,7 +33,8 @@ _LEAST_APART_S, _EVEN = 0.1, 1.5  # of five in that second
 _LEAST_SIGMA_M_S = 0.2  # of a change of velocity
 _MOST_SAID, _SURE = 3.0, 7.0  # log-likelihood ratio: by one change; of them all, once in a thousand
 _REFUSED = 5.7  # ln(0.3 / 0.001), the shares of wrong ways and of right ones that are
-LEAST_OFFSET_S, _OFFSET_SIGMA_S, _OFFSET_SIGMAS = 0.04, 0.015, 3.0  # that is worth new dates
+LEAST_OFFSET_S, _LEAST_UNBORNE_S = 0.04, 0.06  # worth new dates; before a fix was found
+_OFFSET_SIGMA_S, _OFFSET_SIGMAS = 0.015, 3.0  # and as sure
 _TIME = attrgetter("t_s")
 
 
@@ -60,13 +61,13 @@ def misdated(state: FilterState, t_s: float) -> Recalibrated | None:
     """By how much images from `t_s` on are to be dated anew; None: not sure, or not worth it.
 
     The filter follows an error as far as nobody turns otherwise within it. Of a camera that hangs
-    turned by 10 degrees ways show 26 ms until that is known, and of a mirrored one 48: no fix is
-    found by that.
+    turned by 10 degrees ways show 26 ms until that is known, and of a mirrored one 48, before any
+    fix. But images that are 150 ms late look turned, to who waits for one.
     """
     off_s = float(state.x[States.TIME_OFFSET])
     sigma_s = math.sqrt(float(state.P[States.TIME_OFFSET, States.TIME_OFFSET]))
-    is_sure = sigma_s <= min(_OFFSET_SIGMA_S, abs(off_s) / _OFFSET_SIGMAS)
-    if not is_sure or state.t_last_fix_s is None:
+    least_s = _LEAST_UNBORNE_S if state.t_last_fix_s is None else LEAST_OFFSET_S
+    if abs(off_s) < least_s or sigma_s > min(_OFFSET_SIGMA_S, abs(off_s) / _OFFSET_SIGMAS):
         return None
     return Recalibrated(t_s + min(off_s, 0.0), redated_s=off_s)
 
