@@ -236,6 +236,7 @@ def test_unknown_ros_model_is_refused(tmp_path: Path) -> None:
         ({"calibrated": {"sigma_mount_rpy_deg": [0.0, 0.0, 0.1]}}, "sigma of the mount"),
         ({"calibrated": {"sigma_fx_px": "small"}}, "finite number"),
         ({"calibrated": {"sigma_time_offset_s": 3.0}}, "expected a time offset"),
+        ({"calibrated": {"sigma_time_offset_s": -0.1}}, "expected a time offset"),
         ({"calibrated": {"sigma_time_offset_s": "small"}}, "finite number"),
         ({"calibrated": {"sigma_focal_ratio": 3.0}}, "sigma of the focal length"),
         ({"calibrated": {"sigma_fx_px": -1.0}}, "sigma_fx_px is -1, expected 0 or more"),

@@ -175,7 +175,8 @@ def _sigmas(calibrated: dict[str, Any], fx_px: float) -> dict[str, float]:
         roll, pitch, _ = _numbers(calibrated, "sigma_mount_rpy_deg", (0.0,) * 3)
         sigmas["sigma_mount_rad"] = math.radians(max(roll, pitch))
     if (key := "sigma_time_offset_s") in calibrated:
-        sigmas[key] = max(_number(calibrated[key], key), _LEAST_OFFSET_SIGMA_S)
+        sigma_s = _number(calibrated[key], key)
+        sigmas[key] = max(sigma_s, _LEAST_OFFSET_SIGMA_S) if sigma_s >= 0.0 else sigma_s
     focal = _focal_sigma_ratio(calibrated, fx_px)
     return sigmas if focal is None else sigmas | {"sigma_focal_ratio": focal}
 
@@ -274,8 +275,7 @@ def _model_numbered(node: cv2.FileNode) -> CameraModel | None:
 
 def _known_coefficients(coefficients: Array, model: CameraModel) -> tuple[float, ...]:
     """The coefficients without trailing zeros beyond those of the model, which others use."""
-    known = "k1 k2 k3 k4" if model == "fisheye" else "k1 k2 p1 p2 k3"
-    keep = len(known.split())
+    known, keep = ("k1 k2 k3 k4", 4) if model == "fisheye" else ("k1 k2 p1 p2 k3", 5)
     if np.any(coefficients[keep:]):
         raise ValueError(f"distortion beyond {known} of a {model} lens")
     return tuple(float(k) for k in coefficients[:keep])
