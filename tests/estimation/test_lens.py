@@ -187,8 +187,11 @@ def test_a_lens_that_is_doubted_opens_what_its_ways_have_told():
     x = state.x.copy()
     x[States.POSITION_NE], x[States.VELOCITY_NE] = (10.0, -4.0), (2.0, 0.0)
     trusted = TrustedPosition(0.0, np.zeros(2), 1.0)
+    x[States.TIME_OFFSET] = 0.07
     before = state._replace(x=x, P=1e-4 * state.P, trusted=trusted)
-    after = apply_lens_doubted(before)
+    after = apply_lens_doubted(before, EkfConfig())
+    assert after.x[States.TIME_OFFSET] == 0.0
+    assert after.P[States.TIME_OFFSET, States.TIME_OFFSET] == EkfConfig().time_offset_sigma_s ** 2
     north, focal = States.POSITION_NE.start, States.FOCAL
     assert after.P[focal, focal] == pytest.approx(LENS_DOUBT**2, rel=0.01)
     assert after.P[north, focal] == pytest.approx(10.0 * LENS_DOUBT**2)
