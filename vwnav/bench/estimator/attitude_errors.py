@@ -19,7 +19,8 @@ class AttitudeErrors:
     bias of the body's, as by real PX4. Where no IMU is told it turns with the body at once.
 
     Attributes:
-        quats: (n, 4) what is told, and `tilted` the same without its heading error.
+        quats: (n, 4) what is told.
+        tilted: (n, 4) the same without its heading error, at the date that an image then has.
         seen_ne, seen_yaw: (n, 2), (n,) errors of the attitude that is taken for an image's: where
             images are dated late, the body has turned since.
         mount_turn: by how much the camera is turned.

@@ -1,4 +1,4 @@
-"""The camera turns out to be another than it was taken for: its lens, or how it hangs."""
+"""The camera turns out to be another than it was taken for: lens, dates, or how it hangs."""
 
 import math
 from dataclasses import replace

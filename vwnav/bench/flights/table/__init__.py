@@ -43,6 +43,7 @@ QUICK = {
     "link cut for 5 s on the route",
     "pilot hands back, and takes over again while the link is cut",
     "navigator stopped for 20 s",
+    "pictures dated 0.1 s late and nobody knows, and the navigator killed on the route",
     "processor starved for 1 s",
     "model raises in flight",
     "pilot takes over while on the route",
